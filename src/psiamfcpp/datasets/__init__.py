@@ -1,0 +1,30 @@
+"""Readers of training sets and benchmarks: one short file a layout, each with ``read(root) -> list[Sequence]``."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+from psiamfcpp.datasets import folder, stills
+from psiamfcpp.datasets.sequence import Image, Sequence, read_image
+from psiamfcpp.errors import UserError
+
+__all__ = ["READERS", "Image", "Sequence", "read", "read_image"]
+
+READERS: dict[str, Callable[[Path], list[Sequence]]] = {
+    "folder": folder.read,
+    "stills": stills.read,
+}
+
+
+def read(kind: str, root: Path) -> list[Sequence]:
+    """Read the dataset of a known layout.
+
+    Raises:
+        UserError: the layout is unknown, the root is missing, or the files are not as that layout says.
+    """
+    if kind not in READERS:
+        raise UserError(f"unknown dataset layout {kind!r}: known are {', '.join(READERS)}")
+    if not root.is_dir():
+        raise UserError(f"dataset folder {root} does not exist")
+    return READERS[kind](root)

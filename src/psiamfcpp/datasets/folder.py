@@ -1,0 +1,57 @@
+"""A plain folder of sequences: ``<root>/.../<name>/{img/*, groundtruth_rect.txt}``, at any depth."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+
+from psiamfcpp.datasets.sequence import Sequence
+from psiamfcpp.errors import UserError
+from psiamfcpp.geometry import FloatArray
+
+LAYOUT = "<root>/.../<sequence>/img/*.jpg and <root>/.../<sequence>/groundtruth_rect.txt (x,y,w,h a frame)"
+IMAGE_SUFFIXES = {".bmp", ".jpeg", ".jpg", ".png", ".webp"}
+
+
+def read(root: Path) -> list[Sequence]:
+    """Every sequence under ``root``, by name; the source is the name up to its first ``_`` or digit.
+
+    Raises:
+        UserError: there is none, or one has another number of frames than of boxes.
+    """
+    truths = sorted(root.glob("**/groundtruth_rect.txt"))
+    if not truths:
+        raise UserError(f"{root} holds no sequence; expected layout: {LAYOUT}")
+    return [_sequence(truth.parent) for truth in truths]
+
+
+def image_files(folder: Path) -> list[Path]:
+    """The images of a folder, sorted by name."""
+    return sorted(p for p in folder.glob("*") if p.suffix.lower() in IMAGE_SUFFIXES)
+
+
+def read_boxes(path: Path) -> FloatArray:
+    """Boxes ``(n, 4)`` from a text file with one box a line, parted by commas, tabs or blanks.
+
+    Raises:
+        UserError: the file is missing or holds anything but four numbers a line.
+    """
+    try:
+        lines = path.read_text().splitlines()
+        rows = [[float(v) for v in re.split(r"[,\s]+", line.strip())] for line in lines if line.strip()]
+        boxes = np.array(rows, dtype=np.float64).reshape(-1, 4)
+    except (OSError, ValueError) as error:
+        raise UserError(f"boxes {path} cannot be read ({error}): one x,y,w,h a line is expected") from None
+    if len(boxes) != len(rows):
+        raise UserError(f"boxes {path} do not have four numbers on each line")
+    return boxes
+
+
+def _sequence(folder: Path) -> Sequence:
+    frames, boxes = image_files(folder / "img"), read_boxes(folder / "groundtruth_rect.txt")
+    if len(frames) != len(boxes):
+        raise UserError(f"sequence {folder} has {len(frames)} images but {len(boxes)} boxes: mend the folder")
+    source = re.split(r"[_\d]", folder.name, maxsplit=1)[0]
+    return Sequence(folder.name, frames, boxes, source)

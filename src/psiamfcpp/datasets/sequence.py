@@ -1,0 +1,59 @@
+"""The one form in which every dataset hands out its labels."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from psiamfcpp.errors import UserError
+from psiamfcpp.geometry import FloatArray
+
+Image = NDArray[np.uint8]
+
+
+@dataclass(frozen=True, slots=True)
+class Sequence:
+    """One target through the frames of a clip, or one object in a photograph (a single frame)."""
+
+    name: str
+    frames: list[Path]
+    """image files, in time order"""
+    boxes: FloatArray
+    """``(n, 4)`` as ``(x, y, w, h)``, pixels, one row a frame; a row of NaN where the target is absent or unlabelled"""
+    source: str = ""
+    """the collection that it comes from: training samples source by source, so that none drowns the rest"""
+
+    def __len__(self) -> int:
+        return len(self.frames)
+
+
+def read_image(path: Path) -> Image:
+    """An image file as ``(height, width, 3)`` uint8, BGR.
+
+    Raises:
+        UserError: the file is missing or cannot be decoded.
+    """
+    image = cv2.imread(str(path), cv2.IMREAD_COLOR)
+    if image is None:
+        state = "cannot be decoded" if path.exists() else "does not exist"
+        raise UserError(f"image {path} {state}")
+    return np.asarray(image, dtype=np.uint8)
+
+
+def require(path: Path, layout: str) -> Path:
+    """The path, if it exists.
+
+    Args:
+        path: a file or folder that a dataset's layout needs.
+        layout: the expected layout, shown when it is missing.
+
+    Raises:
+        UserError: nothing is there; names the path and shows the layout.
+    """
+    if not path.exists():
+        raise UserError(f"{path} is missing; expected layout: {layout}")
+    return path
