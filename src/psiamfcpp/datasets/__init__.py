@@ -1,11 +1,11 @@
-"""Readers of training sets and benchmarks: one short file a layout, each with ``read(root) -> list[Sequence]``."""
+"""Readers of training sets and benchmarks: one file a layout, each with ``read(root) -> list[Sequence]``."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
 
-from psiamfcpp.datasets import folder, stills
+from psiamfcpp.datasets import coco, folder, got10k, imagenet_vid, lasot, stills, trackingnet
 from psiamfcpp.datasets.sequence import Image, Sequence, read_image
 from psiamfcpp.errors import UserError
 
@@ -14,6 +14,11 @@ __all__ = ["READERS", "Image", "Sequence", "read", "read_image"]
 READERS: dict[str, Callable[[Path], list[Sequence]]] = {
     "folder": folder.read,
     "stills": stills.read,
+    "got10k": got10k.read,
+    "coco": coco.read,
+    "lasot": lasot.read,
+    "imagenet-vid": imagenet_vid.read,
+    "trackingnet": trackingnet.read,
 }
 
 

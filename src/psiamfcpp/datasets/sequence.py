@@ -23,7 +23,7 @@ class Sequence:
     frames: list[Path]
     """image files, in time order"""
     boxes: FloatArray
-    """``(n, 4)`` as ``(x, y, w, h)``, pixels, one row a frame; a row of NaN where the target is absent or unlabelled"""
+    """``(n, 4)`` as ``(x, y, w, h)``, pixels, a row a frame; NaN where the target is absent or unlabelled"""
     source: str = ""
     """the collection that it comes from: training samples source by source, so that none drowns the rest"""
 

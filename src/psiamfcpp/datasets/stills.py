@@ -27,6 +27,7 @@ def read(root: Path) -> list[Sequence]:
                 box = np.array([[float(row[key]) for key in "xywh"]])
                 image, source = row["image"], row["source"]
             except (KeyError, TypeError, ValueError) as error:
-                raise UserError(f"{table} line {line} is not a labelled box ({error}); expected {LAYOUT}") from None
+                problem = f"{table} line {line} is not a labelled box ({error})"
+                raise UserError(f"{problem}; expected {LAYOUT}") from None
             objects.append(Sequence(f"{image}#{line}", [root / "images" / image], box, source))
     return objects

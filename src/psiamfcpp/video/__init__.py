@@ -1,0 +1,1 @@
+"""Frames in, frames and boxes out, and what is drawn between."""

@@ -1,0 +1,70 @@
+"""ImageNet VID (ILSVRC2015): ``<root>/Data/VID/...`` and ``<root>/Annotations/VID/...``, alike.
+
+The corners are taken as published, without a shift; their last column and row belong to the target.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+
+from psiamfcpp.datasets.folder import image_files
+from psiamfcpp.datasets.sequence import Sequence, require
+from psiamfcpp.errors import UserError
+from psiamfcpp.geometry import from_corners
+
+LAYOUT = (
+    "<root>/Data/VID/{train/ILSVRC2015_VID_train_000X/<snippet>, val/<snippet>}/000000.JPEG "
+    "and the same below <root>/Annotations/VID with 000000.xml"
+)
+CORNERS = ("xmin", "ymin", "xmax", "ymax")
+
+
+def read(root: Path) -> list[Sequence]:
+    """One sequence a track of a snippet, made of the frames that show the track.
+
+    Raises:
+        UserError: there is no snippet, an annotation cannot be read, or its frame is missing.
+    """
+    labels = require(root / "Annotations" / "VID", LAYOUT)
+    snippets = [p for part in ("train/*/*", "val/*") for p in sorted(labels.glob(part)) if p.is_dir()]
+    if not snippets:
+        raise UserError(f"{labels} holds no snippet; expected layout: {LAYOUT}")
+    data = root / "Data" / "VID"
+    return [s for snippet in snippets for s in _tracks(snippet, data / snippet.relative_to(labels))]
+
+
+def _tracks(labels: Path, data: Path) -> list[Sequence]:
+    images = {path.stem: path for path in image_files(require(data, LAYOUT))}
+    tracks: dict[str, list[tuple[Path, list[float]]]] = {}
+    for label in sorted(labels.glob("*.xml")):
+        for track, corners in _objects(label):
+            if label.stem not in images:
+                raise UserError(f"{data / label.stem}.JPEG is missing; expected layout: {LAYOUT}")
+            tracks.setdefault(track, []).append((images[label.stem], corners))
+    return [_sequence(f"{labels.name}#{track}", shown) for track, shown in tracks.items()]
+
+
+def _objects(label: Path) -> list[tuple[str, list[float]]]:
+    try:
+        return [
+            (_text(item, "trackid"), [float(_text(item, f"bndbox/{key}")) for key in CORNERS])
+            for item in ElementTree.parse(label).iterfind("object")
+        ]
+    except (ElementTree.ParseError, ValueError) as error:
+        raise UserError(f"annotation {label} cannot be read ({error}): fetch it again") from None
+
+
+def _text(item: ElementTree.Element, path: str) -> str:
+    text = item.findtext(path)
+    if not text:
+        raise ValueError(f"an object without {path}")
+    return text
+
+
+def _sequence(name: str, shown: list[tuple[Path, list[float]]]) -> Sequence:
+    boxes = from_corners([corners for _, corners in shown])
+    boxes[~(boxes[:, 2:] > 0).all(axis=1)] = np.nan
+    return Sequence(name, [frame for frame, _ in shown], boxes, "imagenet-vid")

@@ -1,0 +1,54 @@
+"""LaSOT: ``<root>/<class>/<class>-N/``, or the same without the class folders.
+
+The boxes are taken as published, without a shift. Training and test sequences share one tree, all are read:
+to test on LaSOT later, keep the test sequences' folders elsewhere.
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+
+from psiamfcpp.datasets.folder import image_files, read_boxes
+from psiamfcpp.datasets.got10k import read_labels
+from psiamfcpp.datasets.sequence import Sequence, require
+from psiamfcpp.errors import UserError
+
+LAYOUT = (
+    "<root>/<class>/<class>-N/{img/00000001.jpg, groundtruth.txt, full_occlusion.txt, out_of_view.txt}, "
+    "with or without the <class> folders"
+)
+
+
+def read(root: Path) -> list[Sequence]:
+    """Every sequence, by class and number; no box where the target is fully occluded or out of view.
+
+    Raises:
+        UserError: there is none, a file is missing or unreadable, or the frames and labels differ in number.
+    """
+    named = [(_class_and_number(p.name), p) for p in (*root.glob("*-*"), *root.glob("*/*-*"))]
+    found = sorted((key, path) for key, path in named if key is not None)
+    if not found:
+        raise UserError(f"{root} holds no sequence; expected layout: {LAYOUT}")
+    return [_sequence(folder, source) for (source, _), folder in found]
+
+
+def _class_and_number(name: str) -> tuple[str, int] | None:
+    match = re.fullmatch(r"(.+)-(\d+)", name)
+    return (match[1], int(match[2])) if match else None
+
+
+def _sequence(folder: Path, source: str) -> Sequence:
+    boxes = read_boxes(require(folder / "groundtruth.txt", LAYOUT))
+    occluded = read_labels(require(folder / "full_occlusion.txt", LAYOUT))
+    outside = read_labels(require(folder / "out_of_view.txt", LAYOUT))
+    frames = image_files(require(folder / "img", LAYOUT))
+    if not len(frames) == len(boxes) == len(occluded) == len(outside):
+        counts = (
+            f"{len(frames)} images, {len(boxes)} boxes, {len(occluded)} occlusion, {len(outside)} view flags"
+        )
+        raise UserError(f"sequence {folder} has {counts}: the counts must be equal, fetch it again")
+    boxes[(occluded == 1) | (outside == 1) | ~(boxes[:, 2:] > 0).all(axis=1)] = np.nan
+    return Sequence(folder.name, frames, boxes, source)

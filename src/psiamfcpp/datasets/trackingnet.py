@@ -1,0 +1,52 @@
+"""TrackingNet: ``<root>/TRAIN_0 .. TRAIN_11``, each with ``anno/<name>.txt`` and ``frames/<name>/N.jpg``.
+
+The boxes are taken as published, without a shift.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from psiamfcpp.datasets.folder import image_files, read_boxes
+from psiamfcpp.datasets.sequence import Sequence, require
+from psiamfcpp.errors import UserError
+
+LAYOUT = (
+    "<root>/TRAIN_<n>/anno/<name>.txt (x,y,w,h a frame) and <root>/TRAIN_<n>/frames/<name>/{0,1,...}.jpg, "
+    "or one TRAIN_<n> folder as <root>"
+)
+
+
+def read(root: Path) -> list[Sequence]:
+    """Every sequence of every chunk, by name within its chunk.
+
+    Args:
+        root: the folder that holds the chunks, all or some of them, or one chunk.
+
+    Raises:
+        UserError: there is none, a file is missing or unreadable, or the frames and boxes differ in number.
+    """
+    chunks = [root] if (root / "anno").is_dir() else sorted(p for p in root.glob("TRAIN_*") if p.is_dir())
+    truths = [truth for chunk in chunks for truth in sorted(require(chunk / "anno", LAYOUT).glob("*.txt"))]
+    if not truths:
+        raise UserError(f"{root} holds no sequence; expected layout: {LAYOUT}")
+    return [_sequence(truth) for truth in truths]
+
+
+def _sequence(truth: Path) -> Sequence:
+    boxes = read_boxes(truth)
+    folder = require(truth.parent.parent / "frames" / truth.stem, LAYOUT)
+    frames = sorted(image_files(folder), key=_number)
+    if len(frames) != len(boxes):
+        raise UserError(f"sequence {folder} has {len(frames)} images but {len(boxes)} boxes: fetch it again")
+    boxes[~(boxes[:, 2:] > 0).all(axis=1)] = np.nan
+    return Sequence(truth.stem, frames, boxes, "trackingnet")
+
+
+def _number(frame: Path) -> int:
+    # The names are not padded with zeros, so that their alphabetical order is not the order in time.
+    if not frame.stem.isdecimal():
+        raise UserError(f"frame {frame} has no number for a name; expected layout: {LAYOUT}")
+    return int(frame.stem)

@@ -1,0 +1,96 @@
+"""Checkpoints: a safetensors file whose metadata describes the model; nothing in it is ever run."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import torch
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save_file
+from torch import Tensor
+
+from psiamfcpp.errors import UserError
+from psiamfcpp.models.network import SiamFCpp
+from psiamfcpp.spec import ModelSpec
+from psiamfcpp.zoo import weights_path
+
+
+def load(path_or_name: str | Path) -> SiamFCpp:
+    """A network from a checkpoint file or from the name of shipped weights, in evaluation mode, float32.
+
+    Raises:
+        UserError: no such file or name, not one of our checkpoints, or weights that don't fit the widths it states.
+    """
+    path = weights_path(path_or_name)
+    spec, weights = read(path)
+    model = SiamFCpp(spec)
+    fit(model, weights, str(path))
+    return model.eval()
+
+
+def read(path: Path) -> tuple[ModelSpec, dict[str, Tensor]]:
+    """The spec and the tensors of a checkpoint, as stored.
+
+    Raises:
+        UserError: the file is not a checkpoint of ours.
+    """
+    try:
+        with safe_open(str(path), framework="pt") as file:
+            metadata = file.metadata() or {}
+            if "psiamfcpp" not in metadata:
+                raise UserError(f"{path} does not describe a psiamfcpp model: was it made by another program?")
+            return ModelSpec.from_json(metadata["psiamfcpp"]), {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118
+    except (SafetensorError, OSError) as error:
+        raise UserError(f"checkpoint {path} cannot be read ({error}): the file is damaged or no safetensors") from None
+    except UserError as error:
+        raise error if str(path) in str(error) else UserError(f"checkpoint {path}: {error}") from None
+
+
+def save(path: Path, model: SiamFCpp, dtype: torch.dtype = torch.float32) -> None:
+    """Write a checkpoint under a temporary name, then rename it.
+
+    Args:
+        path: where to, normally ``*.safetensors``.
+        model: the network; its ``spec`` goes into the metadata.
+        dtype: floating-point type of the stored tensors.
+
+    Raises:
+        UserError: the file cannot be written.
+    """
+    tensors = {
+        key: value.detach().cpu().to(dtype if value.is_floating_point() else value.dtype).contiguous()
+        for key, value in model.state_dict().items()
+    }
+    temporary = path.with_name(path.name + ".part")
+    try:
+        save_file(tensors, str(temporary), metadata={"psiamfcpp": model.spec.to_json()})
+        temporary.replace(path)
+    except (OSError, SafetensorError) as error:
+        temporary.unlink(missing_ok=True)
+        raise UserError(f"checkpoint {path} cannot be written: {error}") from None
+
+
+def fit(model: SiamFCpp, weights: dict[str, Tensor], origin: str) -> None:
+    """Copy weights into the model; every name and every shape must match.
+
+    BatchNorm's ``num_batches_tracked`` counts training steps, is no weight, and may be absent.
+
+    Raises:
+        UserError: lists the names that are missing, extra or of another shape.
+    """
+    own = model.state_dict()
+    missing = sorted(k for k in own if k not in weights and not k.endswith("num_batches_tracked"))
+    extra = sorted(k for k in weights if k not in own)
+    shapes = sorted(
+        f"{k} {tuple(weights[k].shape)} instead of {tuple(own[k].shape)}"
+        for k in own
+        if k in weights and weights[k].shape != own[k].shape
+    )
+    faults = [f"{what} {', '.join(names)}" for what, names in
+              (("missing:", missing), ("extra:", extra), ("of another shape:", shapes)) if names]
+    if faults:
+        raise UserError(f"{origin} does not fit the network; {'; '.join(faults)}")
+    bad = sorted(k for k, v in weights.items() if not torch.isfinite(v.float()).all())
+    if bad:
+        raise UserError(f"{origin} holds values that are not finite in {', '.join(bad)}: the file is damaged")
+    model.load_state_dict({**own, **{k: v.to(own[k].dtype) for k, v in weights.items()}})

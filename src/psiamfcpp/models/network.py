@@ -1,0 +1,159 @@
+"""SiamFC++ with AlexNet as plain modules; widths are data, so a pruned network is the same class."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor, nn
+
+from psiamfcpp.spec import STRIDE, ModelSpec, first_cell
+
+Kernels = tuple[Tensor, Tensor]
+
+
+class ConvBlock(nn.Module):
+    """Convolution with bias and without padding, then BatchNorm and ReLU where the design has them."""
+
+    def __init__(self, inputs: int, outputs: int, kernel: int, stride: int = 1, bn: bool = True, relu: bool = True):
+        super().__init__()
+        self.conv = nn.Conv2d(inputs, outputs, kernel, stride)
+        self.bn = nn.BatchNorm2d(outputs) if bn else None
+        self.relu = relu
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Map ``(B, inputs, H, W)`` to ``(B, outputs, H', W')``."""
+        x = self.conv(x)
+        if self.bn is not None:
+            x = self.bn(x)
+        return F.relu(x, inplace=True) if self.relu else x
+
+
+class Backbone(nn.Module):
+    """AlexNet without padding: 127 pixels give a map of 6x6, 303 pixels one of 28x28."""
+
+    def __init__(self, widths: Mapping[str, int]):
+        super().__init__()
+        w1, w2, w3, w4, w5 = (widths[f"backbone.conv{i}"] for i in range(1, 6))
+        self.conv1 = ConvBlock(3, w1, 11, stride=2)
+        self.conv2 = ConvBlock(w1, w2, 5)
+        self.conv3 = ConvBlock(w2, w3, 3)
+        self.conv4 = ConvBlock(w3, w4, 3)
+        self.conv5 = ConvBlock(w4, w5, 3, relu=False)
+        self.pool = nn.MaxPool2d(3, 2, ceil_mode=True)
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Features of crops ``(B, 3, S, S)``, BGR, 0..255."""
+        x = self.pool(self.conv1(x))
+        x = self.pool(self.conv2(x))
+        return self.conv5(self.conv4(self.conv3(x)))
+
+
+class Neck(nn.Module):
+    """Task-specific layers of both branches, before the correlation."""
+
+    def __init__(self, widths: Mapping[str, int]):
+        super().__init__()
+        inputs = widths["backbone.conv5"]
+        self.cls_template = ConvBlock(inputs, widths["neck.cls"], 3, relu=False)
+        self.cls_search = ConvBlock(inputs, widths["neck.cls"], 3, relu=False)
+        self.reg_template = ConvBlock(inputs, widths["neck.reg"], 3, relu=False)
+        self.reg_search = ConvBlock(inputs, widths["neck.reg"], 3, relu=False)
+
+
+class Head(nn.Module):
+    """Classification with centre-ness, and regression of the four distances to the box's sides."""
+
+    def __init__(self, widths: Mapping[str, int]):
+        super().__init__()
+        c0, c1, c2, c3 = (widths[name] for name in ("neck.cls", "head.cls1", "head.cls2", "head.cls3"))
+        r0, r1, r2, r3 = (widths[name] for name in ("neck.reg", "head.reg1", "head.reg2", "head.reg3"))
+        self.cls1, self.cls2 = ConvBlock(c0, c1, 3, bn=False), ConvBlock(c1, c2, 3, bn=False)
+        self.cls3 = ConvBlock(c2, c3, 3)
+        self.reg1, self.reg2 = ConvBlock(r0, r1, 3, bn=False), ConvBlock(r1, r2, 3, bn=False)
+        self.reg3 = ConvBlock(r2, r3, 3)
+        self.cls_score = ConvBlock(c3, 1, 1, relu=False)
+        self.centerness = ConvBlock(c3, 1, 1, relu=False)
+        self.reg_offsets = ConvBlock(r3, 4, 1, relu=False)
+        self.si = nn.Parameter(torch.tensor(1.0))
+        self.bi = nn.Parameter(torch.tensor(0.0))
+
+    def forward(self, cls: Tensor, reg: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Logits ``(B, N, N)`` of class and centre-ness, and distances ``(B, N, N, 4)`` in pixels, from correlations."""
+        cls = self.cls3(self.cls2(self.cls1(cls)))
+        reg = self.reg3(self.reg2(self.reg1(reg)))
+        offsets = self.reg_offsets(reg).float().permute(0, 2, 3, 1)
+        # The clamp only stops bfloat16 or a foreign frame from overflowing: e^6 * 8 px is beyond any crop.
+        distances = torch.exp(torch.clamp(self.si * offsets + self.bi, max=6.0)) * STRIDE
+        return self.cls_score(cls).float().squeeze(1), self.centerness(cls).float().squeeze(1), distances
+
+
+class SiamFCpp(nn.Module):
+    """SiamFC++ (AlexNet): `template` once for a target, `search` for every frame."""
+
+    def __init__(self, spec: ModelSpec | None = None):
+        super().__init__()
+        self.spec = spec or ModelSpec()
+        self.backbone = Backbone(self.spec.widths)
+        self.neck = Neck(self.spec.widths)
+        self.head = Head(self.spec.widths)
+
+    def template(self, z: Tensor) -> Kernels:
+        """Correlation kernels of template crops.
+
+        Args:
+            z: ``(B, 3, 127, 127)``, BGR, float 0..255.
+
+        Returns:
+            ``cls_kernel`` and ``reg_kernel``, each ``(B, C, 4, 4)``.
+        """
+        features = self.backbone(z)
+        return self.neck.cls_template(features), self.neck.reg_template(features)
+
+    def search(self, x: Tensor, kernels: Kernels) -> tuple[Tensor, Tensor]:
+        """Scores and boxes of search crops.
+
+        Args:
+            x: ``(B, 3, S, S)``, BGR, float 0..255; S of 303 gives N = 17.
+            kernels: what `template` returned, for a batch of B or of 1.
+
+        Returns:
+            scores ``(B, N, N)``, 0..1: sigmoid(class) times sigmoid(centre-ness); boxes ``(B, N, N, 4)`` as
+            x0, y0, x1, y1 in pixels of the crop.
+        """
+        cls, centerness, distances = self.maps(x, kernels)
+        return torch.sigmoid(cls) * torch.sigmoid(centerness), to_boxes(distances, x.shape[-1])
+
+    def maps(self, x: Tensor, kernels: Kernels) -> tuple[Tensor, Tensor, Tensor]:
+        """What the losses need: class and centre-ness logits ``(B, N, N)``, distances l, t, r, b ``(B, N, N, 4)``."""
+        features = self.backbone(x)
+        cls_kernel, reg_kernel = kernels
+        cls = depthwise_correlation(self.neck.cls_search(features), cls_kernel)
+        reg = depthwise_correlation(self.neck.reg_search(features), reg_kernel)
+        return self.head(cls, reg)
+
+    def forward(self, z: Tensor, x: Tensor) -> tuple[Tensor, Tensor]:
+        """Scores and boxes of one pass through both branches: what graph tracers need."""
+        return self.search(x, self.template(z))
+
+
+def depthwise_correlation(features: Tensor, kernels: Tensor) -> Tensor:
+    """Correlate ``(B, C, H, W)`` with ``(B or 1, C, h, w)``, sample by sample and channel by channel."""
+    batch, channels, height, width = features.shape
+    kernels = kernels.expand(batch, -1, -1, -1).reshape(batch * channels, 1, *kernels.shape[-2:])
+    out = F.conv2d(features.reshape(1, batch * channels, height, width), kernels, groups=batch * channels)
+    return out.reshape(batch, channels, *out.shape[-2:])
+
+
+def cell_grid(search_size: int, cells: int, device: torch.device | None = None) -> Tensor:
+    """Pixel ``(x, y)`` of the crop at which each cell of the score map stands: ``(N, N, 2)``, row by row."""
+    line = first_cell(search_size) + STRIDE * torch.arange(cells, device=device, dtype=torch.float32)
+    y, x = torch.meshgrid(line, line, indexing="ij")
+    return torch.stack([x, y], dim=-1)
+
+
+def to_boxes(distances: Tensor, search_size: int) -> Tensor:
+    """Corners ``(B, N, N, 4)`` in the crop from distances l, t, r, b of each cell, all in pixels."""
+    grid = cell_grid(search_size, distances.shape[1], distances.device)
+    return torch.cat([grid - distances[..., :2], grid + distances[..., 2:]], dim=-1)

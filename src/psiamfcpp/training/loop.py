@@ -1,0 +1,276 @@
+"""The training loop: resumable to the step, on one process or many."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import json
+import os
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import torch
+import torch.distributed as dist
+from torch import Tensor, nn
+
+from psiamfcpp.datasets import Sequence
+from psiamfcpp.errors import UserError
+from psiamfcpp.models.checkpoint import save
+from psiamfcpp.models.network import SiamFCpp
+from psiamfcpp.training.batches import Batch, numbered_batches
+from psiamfcpp.training.losses import LossWeights, losses
+from psiamfcpp.training.pairs import PairOptions, PairSampler
+from psiamfcpp.training.schedule import Schedule
+from psiamfcpp.training.targets import assign
+from psiamfcpp.training.validation import held_out_batches, pair_score
+
+STATE_FILE = "state.pt"
+LOG_FILE = "log.jsonl"
+MODEL_FILE = "model.safetensors"
+
+
+@dataclass(frozen=True)
+class TrainOptions:
+    """Everything that decides the result of a run, apart from data and initial weights."""
+
+    pairs: PairOptions = PairOptions()
+    schedule: Schedule = field(default_factory=Schedule)
+    losses: LossWeights = LossWeights()
+    batch: int = 32
+    """pairs a step and process"""
+    optimizer: str = "adamw"
+    """adamw, or sgd with the authors' momentum"""
+    weight_decay: float = 1e-4
+    """weight decay of convolution weights"""
+    clip: float = 10.0
+    """largest norm of the gradient"""
+    ema: float = 0.999
+    """decay of the running mean of the weights, which is what is validated and saved; 0 keeps the last weights"""
+    seed: int = 0
+    """seed of pairs and augmentation"""
+
+
+@dataclass(frozen=True)
+class RunOptions:
+    """How a run is carried out; none of it decides the result."""
+
+    bf16: bool = True
+    """autocast to bfloat16 where the processor computes it"""
+    workers: int = 1
+    """loader processes"""
+    cache_gb: float = 6.0
+    """decoded images kept in memory by each loader process, GB"""
+    validate_every: int = 500
+    """steps between validations"""
+    save_every: int = 250
+    """steps between saved states"""
+    validation_pairs: int = 512
+    """held-out pairs a validation"""
+
+
+class PairLoss(nn.Module):
+    """The network with its losses in one forward pass, which is the form that DDP wraps."""
+
+    def __init__(self, model: SiamFCpp, weights: LossWeights):
+        super().__init__()
+        self.model = model
+        self._weights = weights
+
+    def forward(self, batch: Batch) -> dict[str, Tensor]:
+        """The losses of a batch."""
+        maps = self.model.maps(batch.search_input(), self.model.template(batch.template_input()))
+        targets = assign(batch.corners, batch.present, batch.search.shape[1], maps[0].shape[1])
+        return losses(maps, targets, self._weights)
+
+
+def train(
+    model: SiamFCpp, training: list[Sequence], held_out: list[Sequence], output: Path, options: TrainOptions, run: RunOptions
+) -> Iterator[dict[str, Any]]:
+    """Train a network, or continue the run found in ``output``.
+
+    Writes ``model.safetensors`` (the mean weights), ``state.pt`` (all that resuming needs) and ``log.jsonl``. Under
+    ``torchrun`` every process takes its share of each step's pairs and the first one writes.
+
+    Args:
+        model: the network to train, in place.
+        training: sequences that pairs are drawn from.
+        held_out: sequences of the validation pairs; may be empty.
+        output: folder of the run.
+        options: what decides the result; a resumed run must have the same.
+        run: what does not.
+
+    Yields:
+        Each row of the log, as it is written.
+
+    Raises:
+        UserError: the folder holds a run with other options, or cannot be written.
+    """
+    rank, ranks = _join_processes()
+    device = torch.device("cuda", int(os.environ.get("LOCAL_RANK", 0))) if torch.cuda.is_available() else torch.device("cpu")
+    model.to(device=device, memory_format=torch.channels_last)
+    output.mkdir(parents=True, exist_ok=True)
+    optimizer = _optimizer(model, options)
+    mean = {k: v.detach().clone() for k, v in model.state_dict().items()}
+    start = _resume(output / STATE_FILE, model, mean, optimizer, options)
+    _truncate_log(output / LOG_FILE, start)
+
+    sampler = PairSampler(training, options.pairs, options.seed, int(run.cache_gb * 1e9))
+    validation = held_out_batches(held_out, options.pairs, run.validation_pairs, options.batch) if held_out and rank == 0 else []
+    module: nn.Module = PairLoss(model, options.losses)
+    free: frozenset[str] | None = None
+    clock, sums = time.perf_counter(), []
+    steps = options.schedule.steps
+    for step, batch in enumerate(
+        numbered_batches(sampler, options.batch, start, steps, rank, ranks, run.workers), start=start
+    ):
+        if options.schedule.free(step) != free:
+            free = options.schedule.free(step)
+            module = _thaw(model, free, options.losses, ranks)
+        for group in optimizer.param_groups:
+            group["lr"] = options.schedule.rate(step) * group["factor"]
+        with torch.autocast(device.type, torch.bfloat16, enabled=run.bf16 and bf16_pays(device)):
+            parts = module(batch.to(device))
+        parts["total"].backward()
+        torch.nn.utils.clip_grad_norm_(model.parameters(), options.clip)
+        optimizer.step()
+        optimizer.zero_grad()
+        _follow(mean, model, min(options.ema, (step + 1) / (step + 10)) if options.ema else 0.0)
+        sums.append({k: float(v.detach()) for k, v in parts.items()})
+
+        done = step + 1
+        if rank == 0 and (done % 50 == 0 or done == steps):
+            row: dict[str, Any] = {k: sum(s[k] for s in sums) / len(sums) for k in sums[0]}
+            pairs = len(sums) * options.batch * ranks
+            row |= {"step": done, "lr": options.schedule.rate(step), "pairs_per_s": pairs / (time.perf_counter() - clock)}
+            if validation and (done % run.validate_every == 0 or done == steps):
+                with _weights(model, mean):
+                    row["validation"] = dataclasses.asdict(pair_score(model, validation, run.bf16 and bf16_pays(device)))
+            sums, clock = [], time.perf_counter()
+            with (output / LOG_FILE).open("a") as log:
+                log.write(json.dumps(row) + "\n")
+            yield row
+        if rank == 0 and (done % run.save_every == 0 or done == steps):
+            _save(output, model, mean, optimizer, done, options)
+    if ranks > 1:
+        dist.barrier()
+        dist.destroy_process_group()
+
+
+def bf16_pays(device: torch.device) -> bool:
+    """Whether bfloat16 is computed in hardware there; emulated, it is slower than float32."""
+    if device.type == "cuda":
+        return torch.cuda.is_bf16_supported()
+    flags = Path("/proc/cpuinfo")
+    return flags.exists() and "avx512_bf16" in flags.read_text()
+
+
+def _join_processes() -> tuple[int, int]:
+    """Rank and number of processes, joined to the others if ``torchrun`` started this one."""
+    if "RANK" not in os.environ:
+        return 0, 1
+    dist.init_process_group("nccl" if torch.cuda.is_available() else "gloo")
+    return dist.get_rank(), dist.get_world_size()
+
+
+def _optimizer(model: SiamFCpp, options: TrainOptions) -> torch.optim.Optimizer:
+    """Weights decay, biases and BatchNorm do not; the backbone's rate is a share of the others'."""
+    groups: dict[tuple[float, float], list[nn.Parameter]] = {}
+    for name, parameter in model.named_parameters():
+        factor = options.schedule.backbone_lr if name.startswith("backbone.") else 1.0
+        if name == "backbone.conv1.conv.weight":
+            # It multiplies grey levels of 0..255, so its weights, and the steps that suit them, are smaller.
+            factor /= 57
+        groups.setdefault((factor, options.weight_decay if parameter.ndim == 4 else 0.0), []).append(parameter)
+    listed = [{"params": p, "factor": factor, "weight_decay": decay} for (factor, decay), p in groups.items()]
+    if options.optimizer == "sgd":
+        return torch.optim.SGD(listed, lr=options.schedule.lr, momentum=0.9)
+    if options.optimizer == "adamw":
+        return torch.optim.AdamW(listed, lr=options.schedule.lr)
+    raise UserError(f"unknown optimizer {options.optimizer!r}: use adamw or sgd")
+
+
+def _thaw(model: SiamFCpp, free: frozenset[str], weights: LossWeights, ranks: int) -> nn.Module:
+    """Let gradients into the free backbone layers only; DDP must be wrapped anew when that set changes.
+
+    The backbone's BatchNorm keeps its statistics throughout: it starts as the identity, and batches are small.
+    """
+    model.train()
+    model.backbone.eval()
+    for name, layer in model.backbone.named_children():
+        layer.requires_grad_(name in free)
+    loss = PairLoss(model, weights)
+    return nn.parallel.DistributedDataParallel(loss) if ranks > 1 else loss
+
+
+@torch.no_grad()
+def _follow(mean: dict[str, Tensor], model: SiamFCpp, decay: float) -> None:
+    """Move the mean weights towards the model's."""
+    for key, value in model.state_dict().items():
+        if value.is_floating_point():
+            mean[key].lerp_(value, 1 - decay)
+        else:
+            mean[key].copy_(value)
+
+
+@contextlib.contextmanager
+def _weights(model: SiamFCpp, weights: dict[str, Tensor]) -> Iterator[None]:
+    """The model with other weights for a while."""
+    own = {k: v.detach().clone() for k, v in model.state_dict().items()}
+    model.load_state_dict(weights)
+    try:
+        yield
+    finally:
+        model.load_state_dict(own)
+
+
+def _save(
+    output: Path, model: SiamFCpp, mean: dict[str, Tensor], optimizer: torch.optim.Optimizer, step: int, options: TrainOptions
+) -> None:
+    state = {
+        "step": step,
+        "options": json.dumps(dataclasses.asdict(options)),
+        "model": model.state_dict(),
+        "mean": mean,
+        "optimizer": optimizer.state_dict(),
+    }
+    temporary = output / (STATE_FILE + ".part")
+    torch.save(state, temporary)
+    temporary.replace(output / STATE_FILE)
+    with _weights(model, mean):
+        save(output / MODEL_FILE, model)
+
+
+def _resume(
+    path: Path, model: SiamFCpp, mean: dict[str, Tensor], optimizer: torch.optim.Optimizer, options: TrainOptions
+) -> int:
+    """Take up the saved state, if any; the step to go on from."""
+    if not path.exists():
+        return 0
+    state = torch.load(path, map_location="cpu", weights_only=True)
+    if json.loads(state["options"]) != json.loads(json.dumps(dataclasses.asdict(options))):
+        raise UserError(f"{path} belongs to a run with other options: use another output folder, or remove it")
+    model.load_state_dict(state["model"])
+    for key, value in state["mean"].items():
+        mean[key].copy_(value)
+    optimizer.load_state_dict(state["optimizer"])
+    return int(state["step"])
+
+
+def _truncate_log(path: Path, step: int) -> None:
+    """Drop what a killed run logged after its last saved state, since it will be logged again."""
+    if not path.exists():
+        return
+    rows = [line for line in path.read_text().splitlines() if _step_of(line) <= step]
+    temporary = path.with_suffix(".part")
+    temporary.write_text("".join(row + "\n" for row in rows))
+    temporary.replace(path)
+
+
+def _step_of(line: str) -> float:
+    try:
+        return float(json.loads(line)["step"])
+    except (json.JSONDecodeError, KeyError):
+        return float("inf")

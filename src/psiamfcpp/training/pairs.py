@@ -1,0 +1,277 @@
+"""Training pairs: a template crop of a target, and a search crop that holds it (or, in a negative pair, does not).
+
+Pair number ``i`` depends on the seed and on ``i`` alone, so that a run resumed at any step sees what it would have seen.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import OrderedDict, defaultdict
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.random import Generator
+from numpy.typing import NDArray
+
+from psiamfcpp.crop import Image, crop, mean_colour, warp
+from psiamfcpp.datasets import Sequence, read_image
+from psiamfcpp.errors import UserError
+from psiamfcpp.geometry import FloatArray, centre, context_side
+from psiamfcpp.spec import STRIDE, TEMPLATE_SIZE, score_size
+from psiamfcpp.training import augment
+
+Corners = tuple[float, float, float, float]
+
+# Objects with a smaller geometric mean side hold too few pixels to be told from their surroundings.
+_SMALLEST_SIDE = 5.0
+
+
+@dataclass(frozen=True)
+class PairOptions:
+    """How pairs are drawn; shift, scale, negatives and gap are SiamFC++'s."""
+
+    search_size: int = 303
+    """side of the search crop, pixels"""
+    shift: float = 0.4
+    """largest shift of the target from the search crop's centre, as a share of half its side"""
+    scale: float = 0.3
+    """largest change of scale of the search crop: the factor lies in [1/(1+scale), 1+scale]"""
+    negatives: float = 0.1
+    """share of pairs whose search crop shows another object, of the same picture where there is one"""
+    max_gap: int = 100
+    """largest number of frames between the two crops of a clip"""
+    clip_share: float = 0.5
+    """share of pairs from clips where there are both clips and photographs"""
+    augmentation: float = 1.0
+    """strength of colour, blur, grey, rotation and occlusion; 0 is none"""
+
+
+@dataclass(frozen=True)
+class Pair:
+    """One sample."""
+
+    template: Image
+    """``(127, 127, 3)`` uint8, BGR"""
+    search: Image
+    """``(S, S, 3)`` uint8, BGR"""
+    corners: Corners
+    """x0, y0, x1, y1 of the target in the search crop, pixels; may lie outside it"""
+    present: bool
+    """False where the search crop shows another object"""
+
+
+class PairSampler:
+    """Draws pairs from sequences, source by source.
+
+    A source's weight is the square root of the number of its pictures or clips, so that large ones count more but
+    drown nobody. Pictures of a source are equally likely, however many objects they hold.
+    """
+
+    def __init__(self, sequences: list[Sequence], options: PairOptions, seed: int = 0, cache_bytes: int = 0):
+        self.options = options
+        self._seed = seed
+        self._images = ImageCache(cache_bytes)
+        targets = [t for t in (_Target(s, _usable_rows(s)) for s in sequences) if len(t.rows)]
+        if not targets:
+            raise UserError("the training data hold no usable box: check the folders given")
+        clips, stills = [t for t in targets if t.is_clip], [t for t in targets if not t.is_clip]
+        self._kinds = [_Kind(group) for group in (clips, stills) if group]
+
+    def pair(self, index: int) -> Pair:
+        """Pair number ``index``."""
+        rng = np.random.default_rng([self._seed, index])
+        kind = self._kinds[0] if len(self._kinds) == 1 or rng.random() < self.options.clip_share else self._kinds[1]
+        target = kind.draw(rng)
+        first, second = self._rows(target, rng)
+        other, row, present = target, second, True
+        if rng.random() < self.options.negatives:
+            other, row, present = self._negative(kind, target, second, rng)
+        return self._crops(target, first, other, row, present, rng)
+
+    def _rows(self, target: _Target, rng: Generator) -> tuple[int, int]:
+        """Frames of the template and of the search crop, at most ``max_gap`` apart."""
+        first = int(rng.choice(target.rows))
+        near = target.rows[np.abs(target.rows - first) <= self.options.max_gap]
+        return first, int(rng.choice(near))
+
+    def _negative(self, kind: _Kind, target: _Target, row: int, rng: Generator) -> tuple[_Target, int, bool]:
+        """Where to look instead: at another object of the picture, or at another picture, of the same source or not.
+
+        In the first case the target counts as present: it is, though mostly too far off for any cell.
+        """
+        neighbours = [t for t in kind.same_picture(target) if t is not target]
+        if neighbours and rng.random() < 0.7:
+            return neighbours[int(rng.integers(len(neighbours)))], row, True
+        for _ in range(10):
+            other = kind.draw(rng, target.sequence.source if rng.random() < 0.5 else None)
+            if other.sequence.frames[0] != target.sequence.frames[0]:
+                return other, int(rng.choice(other.rows)), False
+        return target, row, True
+
+    def _crops(self, target: _Target, first: int, other: _Target, row: int, present: bool, rng: Generator) -> Pair:
+        o = self.options
+        z_frame, z_box = target.at(first)
+        x_frame, x_box = other.at(row)
+        flip = -1.0 if rng.random() < 0.5 and o.augmentation else 1.0
+        z_image, x_image = self._images.get(z_frame), self._images.get(x_frame)
+        z_jitter = Jitter(*(rng.normal(0, 2.0, 2) * o.augmentation), math.exp(rng.uniform(-0.06, 0.06) * o.augmentation), flip)
+        z_map = crop_map(z_box, TEMPLATE_SIZE, z_jitter)
+        template = self._show(z_image, z_map, TEMPLATE_SIZE, rng)
+
+        turned = rng.random() < (0.2 if target.is_clip else 0.5)
+        half = o.search_size / 2
+        reach = min(o.shift * half, (score_size(o.search_size) + 1) / 2 * STRIDE)
+        jitter = Jitter(
+            *rng.uniform(-reach, reach, 2),
+            math.exp(rng.uniform(-1, 1) * math.log1p(o.scale)),
+            flip,
+            float(rng.normal(0, 0.22)) * turned * o.augmentation,
+            math.exp(rng.uniform(-0.12, 0.12) * o.augmentation),
+        )
+        x_map = crop_map(x_box, o.search_size, jitter)
+        search = self._show(x_image, x_map, o.search_size, rng)
+        corners = box_in_crop(target.at(row)[1] if present else x_box, x_map)
+        if o.augmentation:
+            if rng.random() < 0.12 * o.augmentation:
+                search = augment.occlude(search, corners, rng)
+            template = augment.photometric(template, rng, 0.6 * o.augmentation)
+            search = augment.photometric(search, rng, o.augmentation)
+            if rng.random() < 0.08:
+                template, search = augment.grey(template), augment.grey(search)
+        return Pair(template, search, corners, present)
+
+    def _show(self, image: Image, to_frame: NDArray[np.float64], size: int, rng: Generator) -> Image:
+        """A crop; where much of it lies outside the picture, mostly another picture shows there instead of one colour.
+
+        A plain border would teach that whatever has texture is the target.
+        """
+        shown = warp(image, to_frame, size, mean_colour(image))
+        if rng.random() >= 0.7 * self.options.augmentation:
+            return shown
+        inside = warp(np.full(image.shape[:2], 255, np.uint8), to_frame, size, (0, 0, 0)) > 127
+        if inside.mean() > 0.85:
+            return shown
+        kind = self._kinds[int(rng.integers(len(self._kinds)))]
+        scene = kind.draw(rng).sequence
+        backdrop = self._images.get(scene.frames[int(rng.integers(len(scene)))])
+        height, width = backdrop.shape[:2]
+        side = min(height, width) * rng.uniform(0.4, 1.0)
+        cx, cy = rng.uniform(side / 2, width - side / 2), rng.uniform(side / 2, height - side / 2)
+        behind = crop(backdrop, cx, cy, side, size, mean_colour(backdrop))
+        return np.where(inside[..., None], shown, behind)
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class _Target:
+    """A sequence with its usable rows."""
+
+    sequence: Sequence
+    rows: NDArray[np.intp]
+
+    @property
+    def is_clip(self) -> bool:
+        return len(self.sequence) > 1
+
+    def at(self, row: int) -> tuple[Path, FloatArray]:
+        """Frame and box of a row."""
+        return self.sequence.frames[row], self.sequence.boxes[row]
+
+
+class _Kind:
+    """Clips, or photographs: their sources with the weight of each."""
+
+    def __init__(self, targets: list[_Target]):
+        self._pictures: dict[Path, list[_Target]] = defaultdict(list)
+        for target in targets:
+            self._pictures[target.sequence.frames[0]].append(target)
+        self._sources: dict[str, list[list[_Target]]] = defaultdict(list)
+        for group in self._pictures.values():
+            self._sources[group[0].sequence.source].append(group)
+        self._names = sorted(self._sources)
+        weights = np.sqrt([len(self._sources[name]) for name in self._names])
+        self._chances = weights / weights.sum()
+
+    def draw(self, rng: Generator, source: str | None = None) -> _Target:
+        """An object of a picture of a source; of the given source, if any."""
+        name = source if source is not None else self._names[int(rng.choice(len(self._names), p=self._chances))]
+        pictures = self._sources[name]
+        picture = pictures[int(rng.integers(len(pictures)))]
+        return picture[int(rng.integers(len(picture)))]
+
+    def same_picture(self, target: _Target) -> list[_Target]:
+        """The labelled objects of a photograph; of clips, none, since their frames need not run in step."""
+        return [] if target.is_clip else self._pictures[target.sequence.frames[0]]
+
+
+@dataclass(frozen=True)
+class Jitter:
+    """Where the target comes to lie in a crop, against the middle and upright."""
+
+    dx: float = 0.0
+    """shift to the right, pixels of the crop"""
+    dy: float = 0.0
+    """shift down, pixels of the crop"""
+    scale: float = 1.0
+    """size of the target against the one that its context gives it"""
+    flip: float = 1.0
+    """-1 mirrors left and right"""
+    angle: float = 0.0
+    """turn, radians"""
+    aspect: float = 1.0
+    """factor on the width, divided from the height"""
+
+
+def crop_map(box: FloatArray, size: int, jitter: Jitter) -> NDArray[np.float64]:
+    """The 2x3 map from pixels of a crop of ``size`` to the frame that shows a box with its context.
+
+    With no jitter this is the crop of the tracking procedure before its side is rounded: context of one side to 127
+    pixels of template.
+    """
+    cx, cy = centre(box)
+    side = context_side(float(box[2]), float(box[3])) * size / TEMPLATE_SIZE
+    scale = (side - 1) / (size - 1) / jitter.scale
+    cos, sin = math.cos(jitter.angle), math.sin(jitter.angle)
+    linear = scale * np.array([[cos, -sin], [sin, cos]]) @ np.diag([jitter.flip / jitter.aspect, jitter.aspect])
+    middle = (size - 1) / 2 + np.array([jitter.dx, jitter.dy])
+    return np.column_stack([linear, np.array([cx, cy]) - linear @ middle])
+
+
+def box_in_crop(box: FloatArray, to_frame: NDArray[np.float64]) -> Corners:
+    """Corners in the crop of a box in the frame.
+
+    Under rotation these bound the ellipse inscribed in the box: the box of a turned box would be too large for
+    nearly every object.
+    """
+    to_crop = np.linalg.inv(to_frame[:, :2])
+    cx, cy = to_crop @ (centre(box) - to_frame[:, 2])
+    rx, ry = np.sqrt((to_crop**2) @ ((box[2:] - 1) / 2) ** 2)
+    return (float(cx - rx), float(cy - ry), float(cx + rx), float(cy + ry))
+
+
+class ImageCache:
+    """Keeps decoded images up to a number of bytes, dropping those unused for longest."""
+
+    def __init__(self, limit: int):
+        self._limit = limit
+        self._held: OrderedDict[Path, Image] = OrderedDict()
+        self._bytes = 0
+
+    def get(self, path: Path) -> Image:
+        """The image of a file, ``(H, W, 3)`` uint8, BGR; not to be written to."""
+        if path in self._held:
+            self._held.move_to_end(path)
+            return self._held[path]
+        image = read_image(path)
+        self._held[path] = image
+        self._bytes += image.nbytes
+        while self._bytes > self._limit and self._held:
+            self._bytes -= self._held.popitem(last=False)[1].nbytes
+        return image
+
+
+def _usable_rows(sequence: Sequence) -> NDArray[np.intp]:
+    """Frames whose box is finite and not too small."""
+    with np.errstate(invalid="ignore"):
+        sides = np.sqrt(np.clip(sequence.boxes[:, 2:], 0, None).prod(axis=1))
+        return np.flatnonzero(np.isfinite(sequence.boxes).all(axis=1) & (sides >= _SMALLEST_SIDE))

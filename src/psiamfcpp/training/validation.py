@@ -1,0 +1,79 @@
+"""The pair score: how often, and how well, the network finds held-out targets in single search crops."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from psiamfcpp.datasets import Sequence
+from psiamfcpp.geometry import from_corners, overlap
+from psiamfcpp.models.network import SiamFCpp
+from psiamfcpp.training.batches import Batch, collate
+from psiamfcpp.training.pairs import PairOptions, PairSampler
+
+
+@dataclass(frozen=True)
+class PairScore:
+    """Means over held-out pairs; the box is that of the cell with the highest score, without window or penalty."""
+
+    within8: float
+    """share of pairs with a centre error of at most 8 pixels of the crop"""
+    within16: float
+    """share of pairs with a centre error of at most 16 pixels of the crop"""
+    overlap: float
+    """mean overlap with the labelled box"""
+    score: float
+    """mean highest score where the target is there"""
+    separation: float
+    """share of couples of a true and a negative pair in which the true one scores higher (area under the ROC curve)"""
+
+
+def held_out_batches(sequences: list[Sequence], options: PairOptions, count: int, batch: int) -> list[Batch]:
+    """``count`` fixed pairs without augmentation, a fifth of them negative ones."""
+    plain = dataclasses.replace(options, augmentation=0.0, negatives=0.2)
+    sampler = PairSampler(sequences, plain, seed=1)
+    return [collate([sampler.pair(i) for i in range(k, min(k + batch, count))]) for k in range(0, count, batch)]
+
+
+@torch.no_grad()
+def pair_score(model: SiamFCpp, batches: Iterable[Batch], bf16: bool = False) -> PairScore:
+    """The pair score of a network, put into evaluation mode for it and back."""
+    training = model.training
+    model.eval()
+    errors, overlaps, true_scores, false_scores = [], [], [], []
+    for batch in batches:
+        with torch.autocast("cpu", torch.bfloat16, enabled=bf16):
+            scores, boxes = model.search(batch.search_input(), model.template(batch.template_input()))
+        best = scores.flatten(1).argmax(dim=1)
+        rows = torch.arange(len(best))
+        found, top = boxes.flatten(1, 2)[rows, best], scores.flatten(1)[rows, best]
+        middle = (found[:, :2] + found[:, 2:] - batch.corners[:, :2] - batch.corners[:, 2:]) / 2
+        there = batch.present & _reachable(batch.corners, batch.search.shape[1])
+        errors.append(middle.norm(dim=1)[there])
+        overlaps.append(_overlap(found[there], batch.corners[there]))
+        true_scores.append(top[there])
+        false_scores.append(top[~there])
+    model.train(training)
+    error, overlaps_ = torch.cat(errors).numpy(), torch.cat(overlaps).numpy()
+    true, false = torch.cat(true_scores).numpy(), torch.cat(false_scores).numpy()
+    return PairScore(
+        within8=float(np.mean(error <= 8)),
+        within16=float(np.mean(error <= 16)),
+        overlap=float(overlaps_.mean()),
+        score=float(true.mean()),
+        separation=float((true[:, None] > false[None]).mean()) if len(false) else float("nan"),
+    )
+
+
+def _reachable(corners: Tensor, search_size: int) -> Tensor:
+    middle = (corners[:, :2] + corners[:, 2:]) / 2
+    return ((middle >= 0) & (middle <= search_size - 1)).all(dim=1)
+
+
+def _overlap(a: Tensor, b: Tensor) -> Tensor:
+    return torch.from_numpy(overlap(from_corners(a.numpy()), from_corners(b.numpy())))

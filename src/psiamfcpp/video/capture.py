@@ -1,0 +1,60 @@
+"""OpenCV's capture, opened without chatter and without hanging, and what its numbers are worth."""
+
+from __future__ import annotations
+
+import math
+import os
+
+import cv2
+
+FALLBACK_FPS = 30.0
+
+
+def open_capture(target: int | str, timeout_s: float | None) -> cv2.VideoCapture:
+    """A capture of a camera number, file or address; whether it could be opened is for the caller to ask.
+
+    Args:
+        target: camera number, path or address.
+        timeout_s: for an address: how many seconds opening it, and waiting for a frame, may take.
+    """
+    # read once, when FFmpeg is first used: -8 is its "quiet"
+    os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
+    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
+    if isinstance(target, int):
+        return cv2.VideoCapture(target)
+    if timeout_s is None:
+        return cv2.VideoCapture(target)
+    limit = max(1, int(timeout_s * 1000))
+    limits = [cv2.CAP_PROP_OPEN_TIMEOUT_MSEC, limit, cv2.CAP_PROP_READ_TIMEOUT_MSEC, limit]
+    # other backends refuse these limits, and would hang without them
+    return cv2.VideoCapture(target, cv2.CAP_FFMPEG, limits)
+
+
+def sane_fps(capture: cv2.VideoCapture) -> float | None:
+    """Frames a second, or None where the container says nothing that a video could have."""
+    fps = capture.get(cv2.CAP_PROP_FPS)
+    return fps if 0.1 <= fps <= 1000 else None
+
+
+def sane_count(capture: cv2.VideoCapture) -> int | None:
+    """How many frames the container promises, or None where it does not."""
+    count = capture.get(cv2.CAP_PROP_FRAME_COUNT)
+    return int(count) if 1 <= count < 2**31 else None
+
+
+def ended_early(read: int, position_s: float, count: int | None, fps: float | None) -> bool:
+    """Whether a decoder stopped well before the end that its container promised.
+
+    The count is often an estimate, duration times frame rate, far off where the rate varies: so the time
+    stamp of the last frame may stand in for it.
+
+    Args:
+        read: frames that were read.
+        position_s: time stamp of the last of them, in seconds.
+        count: frames that were promised, if any were.
+        fps: frames a second, if known.
+    """
+    if count is None:
+        return False
+    reached = max(read, math.floor(position_s * (fps or 0)) + 1)
+    return count - reached > max(2.0, 0.01 * count)

@@ -1,0 +1,103 @@
+"""What is drawn onto a frame: the box with its label, and lines of status."""
+
+from __future__ import annotations
+
+import math
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from psiamfcpp.geometry import Box
+
+Image = NDArray[np.uint8]
+Colour = tuple[int, int, int]
+
+STATE_COLOURS: dict[str, Colour] = {
+    "tracking": (80, 200, 40),
+    "unsure": (0, 180, 255),
+    "lost": (50, 50, 230),
+}
+"""BGR"""
+
+_FONT = cv2.FONT_HERSHEY_SIMPLEX
+_BLACK, _WHITE = (0, 0, 0), (255, 255, 255)
+
+
+def draw(frame: Image, box: Box, label: str, colour: Colour = STATE_COLOURS["tracking"]) -> Image:
+    """A copy of the frame with a box and, on a filled strip that stays inside the frame, its label.
+
+    Args:
+        frame: ``(H, W, 3)`` uint8 BGR; left as it is.
+        box: ``(x, y, w, h)`` in pixels; may reach over the frame's edge. One that is not finite is not drawn.
+        label: one line; none is drawn where it is empty.
+        colour: of the outline and the strip, BGR.
+    """
+    image = frame.copy()
+    if not all(math.isfinite(v) for v in box):
+        return image
+    height, width = image.shape[:2]
+    scale = _scale(image)
+    line = max(1, round(2 * scale))
+    # OpenCV draws no coordinate beyond 16 bits
+    x0, x1 = (round(min(max(v, -line), width - 1 + line)) for v in (box[0], box[0] + box[2] - 1))
+    y0, y1 = (round(min(max(v, -line), height - 1 + line)) for v in (box[1], box[1] + box[3] - 1))
+    cv2.rectangle(image, (x0, y0), (x1, y1), colour, line)
+    if not label:
+        return image
+    text_width, text_height, pad = _measure(label, scale)
+    strip_width, strip_height = text_width + 2 * pad, text_height + 2 * pad
+    left = max(0, min(x0 - line // 2, width - strip_width))
+    above, below = y0 - strip_height, y1 + 1
+    # above the box, else below it, else over it: the label must never be cut off
+    top = above if above >= 0 else min(below, height - strip_height)
+    top = max(0, min(top, height - strip_height))
+    cv2.rectangle(image, (left, top), (left + strip_width - 1, top + strip_height - 1), colour, cv2.FILLED)
+    _put(image, label, (left + pad, top + pad + text_height), scale, _ink(colour))
+    return image
+
+
+def draw_status(frame: Image, lines: list[str]) -> Image:
+    """A copy of the frame with lines of text on a darkened panel at its top left.
+
+    Args:
+        frame: ``(H, W, 3)`` uint8 BGR; left as it is.
+        lines: the text, from the top; nothing is drawn where there is none.
+    """
+    image = frame.copy()
+    if not lines:
+        return image
+    scale = _scale(image)
+    sizes = [_measure(text, scale) for text in lines]
+    pad = sizes[0][2]
+    step = max(size[1] for size in sizes) + 2 * pad
+    panel = image[: step * len(lines) + pad, : max(size[0] for size in sizes) + 4 * pad]
+    panel[:] = panel * 0.35
+    for number, text in enumerate(lines, start=1):
+        _put(image, text, (2 * pad, step * number), scale, _WHITE)
+    return image
+
+
+def _scale(image: Image) -> float:
+    """1 for a frame of 720 lines."""
+    return max(0.4, min(image.shape[:2]) / 720)
+
+
+def _measure(text: str, scale: float) -> tuple[int, int, int]:
+    """Width and height of a text, and the margin that it wants, in pixels."""
+    (width, height), _ = cv2.getTextSize(text, _FONT, 0.6 * scale, _weight(scale))
+    return width, height, max(2, round(5 * scale))
+
+
+def _put(image: Image, text: str, origin: tuple[int, int], scale: float, colour: Colour) -> None:
+    cv2.putText(image, text, origin, _FONT, 0.6 * scale, colour, _weight(scale), cv2.LINE_AA)
+
+
+def _weight(scale: float) -> int:
+    return max(1, round(1.4 * scale))
+
+
+def _ink(colour: Colour) -> Colour:
+    """Black or white, whichever reads better on the colour."""
+    blue, green, red = colour
+    return _BLACK if 0.114 * blue + 0.587 * green + 0.299 * red > 120 else _WHITE

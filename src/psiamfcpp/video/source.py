@@ -1,0 +1,199 @@
+"""Where frames come from: a video, a camera, a network stream, a folder of images or a glob of them."""
+
+from __future__ import annotations
+
+import glob
+import re
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from psiamfcpp.errors import UserError
+from psiamfcpp.video.capture import FALLBACK_FPS, ended_early, open_capture, sane_count, sane_fps
+from psiamfcpp.video.live import LiveReader
+
+Image = NDArray[np.uint8]
+
+IMAGE_SUFFIXES = {".bmp", ".jpeg", ".jpg", ".png", ".tif", ".tiff", ".webp"}
+_URL_SCHEMES = ("rtsp://", "rtsps://", "http://", "https://")
+_KINDS = "a video, a camera number, an rtsp:// or http:// address, a folder of images or a glob of them"
+
+
+@dataclass
+class Source:
+    """Frames one after the other, ``(H, W, 3)`` uint8 BGR; also a context manager that closes itself."""
+
+    name: str
+    """what the user gave, without the password that an address may hold"""
+    fps: float
+    frame_count: int | None
+    """frames that the container or the folder promises; None where that is unknown, and always when live"""
+    live: bool
+    """frames come as they happen: those that were not asked for in time are skipped"""
+    _frames: Iterator[Image]
+    _close: Callable[[], None]
+
+    def __iter__(self) -> Iterator[Image]:
+        return self
+
+    def __next__(self) -> Image:
+        return next(self._frames)
+
+    def __enter__(self) -> Source:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Let go of the file or device, and end a live source's reader thread; may be called twice."""
+        self._close()
+        self._frames = iter(())
+
+
+def open_source(
+    source: str | int | Path,
+    *,
+    fps: float | None = None,
+    on_event: Callable[[str], None] | None = None,
+    reconnect_s: float = 15.0,
+    timeout_s: float = 5.0,
+) -> Source:
+    """Open whatever ``source`` names.
+
+    Files and folders are read frame by frame. Cameras and addresses are live: only the newest frame is kept,
+    and when they fall silent they are opened again and again, with growing pauses.
+
+    Args:
+        source: a video or image file, a camera number (``0`` or ``"0"``), an rtsp, http or https address, a
+            folder of images, or a glob of images (``"frames/*.jpg"``).
+        fps: frames a second, instead of what the container says (or of 30 where it says nothing sane).
+        on_event: receives one line when a live source breaks off and when it is back; called while the next
+            frame is asked for, in the thread that asks.
+        reconnect_s: how many seconds a live source may stay silent before it is given up.
+        timeout_s: how many seconds opening an address, or waiting for its next frame, may take.
+
+    Returns:
+        The source. Iterating ends with a `UserError` after the frames that could be read where a video is cut
+        off, a live source does not come back, or an image is unreadable or of another size than the first.
+
+    Raises:
+        UserError: it does not exist, or holds no frame that can be read.
+    """
+    text = str(source)
+    if isinstance(source, int) or (isinstance(source, str) and source.isdecimal()):
+        return _live(int(source), f"camera {text}", fps, on_event, reconnect_s, timeout_s)
+    if text.lower().startswith(_URL_SCHEMES):
+        return _live(text, f"stream {_without_password(text)}", fps, on_event, reconnect_s, timeout_s)
+    path = Path(text).expanduser()
+    if path.is_dir():
+        return _images(_image_files(path.iterdir()), text, f"folder {text} holds no image", fps)
+    if path.is_file():
+        if path.suffix.lower() in IMAGE_SUFFIXES:
+            return _images([path], text, "", fps)
+        return _video(path, text, fps)
+    if glob.has_magic(text):
+        found = (Path(p) for p in glob.glob(str(path), recursive=True))  # noqa: PTH207 - the pattern may be absolute
+        return _images(_image_files(found), text, f"{text} matches no image", fps)
+    raise UserError(f"{text} does not exist: give {_KINDS}")
+
+
+def _live(
+    target: int | str,
+    name: str,
+    fps: float | None,
+    on_event: Callable[[str], None] | None,
+    reconnect_s: float,
+    timeout_s: float,
+) -> Source:
+    reader = LiveReader(target, name, on_event, reconnect_s, timeout_s)
+    return Source(name, fps or reader.fps, None, True, reader.frames(), reader.close)
+
+
+def _video(path: Path, name: str, fps: float | None) -> Source:
+    # absolute, since FFmpeg takes what stands before a colon in a bare name for a protocol
+    capture = open_capture(str(path.absolute()), None)
+    ok, first = capture.read()
+    # FFmpeg takes plain text for "ansi" video
+    if not ok or int(capture.get(cv2.CAP_PROP_FOURCC)) == cv2.VideoWriter.fourcc(*"ansi"):
+        empty = capture.isOpened() and not ok
+        capture.release()
+        if empty:
+            raise UserError(f"video {name} holds no frame that can be read: record or copy it again")
+        raise UserError(f"{name} is not a video that can be read (or is cut off): give {_KINDS}")
+    count, rate = sane_count(capture), sane_fps(capture)
+    frames = _video_frames(capture, np.asarray(first, dtype=np.uint8), name, count, rate)
+    return Source(name, fps or rate or FALLBACK_FPS, count, False, frames, capture.release)
+
+
+def _video_frames(
+    capture: cv2.VideoCapture, first: Image, name: str, count: int | None, rate: float | None
+) -> Iterator[Image]:
+    yield first
+    read, position_s = 1, 0.0
+    while True:
+        ok, frame = capture.read()
+        if not ok:
+            break
+        read += 1
+        position_s = capture.get(cv2.CAP_PROP_POS_MSEC) / 1000
+        yield np.asarray(frame, dtype=np.uint8)
+    if ended_early(read, position_s, count, rate):
+        raise UserError(f"video {name} is cut off: {read} of {count} frames could be read; copy it again")
+
+
+def _images(paths: list[Path], name: str, none: str, fps: float | None) -> Source:
+    if not paths:
+        raise UserError(f"{none}: {', '.join(sorted(IMAGE_SUFFIXES))} are read")
+    return Source(name, fps or FALLBACK_FPS, len(paths), False, _image_frames(paths), lambda: None)
+
+
+def _image_frames(paths: list[Path]) -> Iterator[Image]:
+    size: tuple[int, int] | None = None
+    for path in paths:
+        frame = _read_image(path)
+        height, width = frame.shape[:2]
+        if size is None:
+            size = (width, height)
+        if (width, height) != size:
+            raise UserError(
+                f"image {path} is {width}x{height}, those before it {size[0]}x{size[1]}: make them one size"
+            )
+        yield frame
+
+
+def _read_image(path: Path) -> Image:
+    try:
+        # imread cannot open every name on every system
+        data = np.fromfile(path, dtype=np.uint8)
+        image = cv2.imdecode(data, cv2.IMREAD_COLOR) if data.size else None
+    except (OSError, cv2.error):
+        image = None
+    if image is None:
+        raise UserError(f"image {path} cannot be read: replace or remove it")
+    return np.asarray(image, dtype=np.uint8)
+
+
+def _image_files(paths: Iterator[Path]) -> list[Path]:
+    # what a system leaves behind beside images ("._1.jpg") bears their suffix too
+    found = [
+        p for p in paths if p.suffix.lower() in IMAGE_SUFFIXES and not p.name.startswith(".") and p.is_file()
+    ]
+    return sorted(found, key=_natural_order)
+
+
+def _natural_order(path: Path) -> list[int | str]:
+    """A key that sorts ``2.jpg`` before ``10.jpg``."""
+    # every second part is a number, so that like meets like
+    return [int(part) if i % 2 else part for i, part in enumerate(re.split(r"(\d+)", str(path)))]
+
+
+def _without_password(url: str) -> str:
+    return re.sub(r"(?<=://)([^/@]*?):[^/]*@", r"\1:***@", url)

@@ -1,0 +1,249 @@
+"""Videos and boxes on their way to disk: what was written stays valid, however the writing ends."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import os
+from fractions import Fraction
+from pathlib import Path
+from types import TracebackType
+from typing import TYPE_CHECKING
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from psiamfcpp.errors import UserError
+from psiamfcpp.geometry import Box
+from psiamfcpp.video.capture import open_capture
+
+if TYPE_CHECKING:
+    from av import VideoFrame
+
+Image = NDArray[np.uint8]
+
+SUFFIXES = (".mp4", ".mkv", ".avi")
+_DISK = "check that the disk has room"
+
+
+class VideoWriter:
+    """A video that takes its final name only once it is whole.
+
+    Whatever ends the ``with`` block, Ctrl-C or an error, the frames written so far become a valid video.
+    Where no frame was written, or where the disk failed, nothing is left. H.264 where PyAV is installed, else
+    MPEG-4.
+    """
+
+    def __init__(self, path: str | Path, fps: float, size: tuple[int, int]) -> None:
+        """Check that the video can be written.
+
+        Args:
+            path: the file; ``.mp4``, ``.mkv`` or ``.avi``. An older one is replaced at the end.
+            fps: frames a second.
+            size: ``(width, height)`` in pixels; an odd side gains one pixel in the video.
+
+        Raises:
+            UserError: unknown suffix, a folder that is missing or must not be written to, no rate or no size.
+        """
+        self._path, self._size = Path(path), size
+        if self._path.suffix.lower() not in SUFFIXES:
+            raise UserError(f"video {path} has an unknown format: end its name in {', '.join(SUFFIXES)}")
+        if self._path.is_dir():
+            raise UserError(f"video {path} cannot be written: a folder has that name")
+        if not (math.isfinite(fps) and fps > 0) or min(size) < 1:
+            raise UserError(
+                f"video {path} cannot have {fps:g} fps at {size[0]}x{size[1]}: both must be above 0"
+            )
+        self._part = self._path.with_name(f".{self._path.stem}.{os.getpid()}.part{self._path.suffix}")
+        try:
+            self._part.open("wb").close()
+        except OSError as error:
+            raise UserError(f"video {path} cannot be written: {error.strerror or error}") from None
+        self._count = 0
+        self._open = True
+        width, height = size[0] + size[0] % 2, size[1] + size[1] % 2
+        try:
+            self._encoder = _encoder(self._part, fps, (width, height))
+        except BaseException:
+            self._part.unlink(missing_ok=True)
+            raise
+
+    def __enter__(self) -> VideoWriter:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def write(self, frame: Image) -> None:
+        """Append a frame ``(H, W, 3)`` uint8 BGR.
+
+        Raises:
+            UserError: a frame of another size than the video, or a disk that is full; in the latter case the
+                video is removed.
+        """
+        height, width = frame.shape[:2]
+        if (width, height) != self._size:
+            raise UserError(
+                f"frame of {width}x{height} does not fit video {self._path}: "
+                f"keep all frames {self._size[0]}x{self._size[1]}"
+            )
+        if width % 2 or height % 2:
+            frame = np.pad(frame, ((0, height % 2), (0, width % 2), (0, 0)), mode="edge")
+        try:
+            self._encoder.write(np.ascontiguousarray(frame))
+        except OSError as error:
+            self._abandon()
+            raise self._failure(error) from None
+        self._count += 1
+
+    def close(self) -> None:
+        """Finish the video and give it its name; may be called twice.
+
+        Raises:
+            UserError: the disk is full; nothing is left.
+        """
+        if not self._open:
+            return
+        if not self._count:
+            self._abandon()
+            return
+        self._open = False
+        try:
+            self._encoder.finish()
+            self._part.replace(self._path)
+        except OSError as error:
+            raise self._failure(error) from None
+        finally:
+            self._part.unlink(missing_ok=True)
+
+    def _abandon(self) -> None:
+        self._open = False
+        with contextlib.suppress(OSError):
+            self._encoder.finish()
+        self._part.unlink(missing_ok=True)
+
+    def _failure(self, error: OSError) -> UserError:
+        return UserError(f"video {self._path} cannot be written: {error.strerror or error}; {_DISK}")
+
+
+class BoxWriter:
+    """A text file with one ``x,y,w,h`` line a frame, on disk as soon as it is written, never half a line."""
+
+    def __init__(self, path: str | Path) -> None:
+        """Start the file anew.
+
+        Raises:
+            UserError: it cannot be created.
+        """
+        self._path, self._size = Path(path), 0
+        try:
+            # unbuffered: only then is a line that did not fit known, and taken back, at once
+            self._file = self._path.open("wb", buffering=0)
+        except OSError as error:
+            raise UserError(f"boxes {path} cannot be written: {error.strerror or error}") from None
+
+    def __enter__(self) -> BoxWriter:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def write(self, box: Box) -> None:
+        """Append a box ``(x, y, w, h)``, pixels, with two decimals.
+
+        Raises:
+            UserError: the disk is full; the lines before stay.
+        """
+        line = (",".join(f"{v:.2f}" for v in box) + "\n").encode()
+        try:
+            written = self._file.write(line)
+            reason = "" if written == len(line) else "the line did not fit"
+        except OSError as error:
+            reason = error.strerror or str(error)
+        if reason:
+            with contextlib.suppress(OSError):
+                self._file.truncate(self._size)
+            raise UserError(f"boxes {self._path} cannot be written: {reason}; {_DISK}")
+        self._size += len(line)
+
+    def close(self) -> None:
+        """Close the file; may be called twice."""
+        self._file.close()
+
+
+class _H264:
+    """H.264 by PyAV; raises OSError where the disk fails."""
+
+    def __init__(self, path: Path, fps: float, size: tuple[int, int]) -> None:
+        import av
+
+        self._av = av
+        rate = Fraction(fps).limit_denominator(1001)
+        self._container = av.open(str(path), "w")
+        # a tracker shares the processor: the slower presets would take more of it than the tracker does
+        options = {"crf": "23", "preset": "veryfast"}
+        self._stream = self._container.add_stream("libx264", rate=rate, options=options)
+        self._stream.width, self._stream.height = size
+        self._stream.pix_fmt = "yuv420p"
+        self._time_base, self._count = 1 / rate, 0
+
+    def write(self, frame: Image) -> None:
+        picture = self._av.VideoFrame.from_ndarray(frame, format="bgr24")
+        picture.pts, picture.time_base = self._count, self._time_base
+        self._count += 1
+        self._mux(picture)
+
+    def finish(self) -> None:
+        try:
+            if self._count:
+                self._mux(None)
+        finally:
+            try:
+                self._container.close()
+            except self._av.FFmpegError as error:
+                raise OSError(error.errno, error.strerror) from None
+
+    def _mux(self, picture: VideoFrame | None) -> None:
+        try:
+            self._container.mux(self._stream.encode(picture))
+        except self._av.FFmpegError as error:
+            raise OSError(error.errno, error.strerror) from None
+
+
+class _Mpeg4:
+    """MPEG-4 by OpenCV; raises OSError where the disk fails."""
+
+    def __init__(self, path: Path, fps: float, size: tuple[int, int]) -> None:
+        self._path, self._count = path, 0
+        self._writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"mp4v"), fps, size)
+        if not self._writer.isOpened():
+            raise UserError(f"video {path} cannot be encoded by this OpenCV: install PyAV (pip install av)")
+
+    def write(self, frame: Image) -> None:
+        self._writer.write(frame)
+        self._count += 1
+
+    def finish(self) -> None:
+        self._writer.release()
+        if not self._count:
+            return
+        # OpenCV says nothing of a write that failed: only the last frame tells
+        capture = open_capture(str(self._path.absolute()), None)
+        capture.set(cv2.CAP_PROP_POS_FRAMES, self._count - 1)
+        whole = capture.read()[0]
+        capture.release()
+        if not whole:
+            raise OSError("its end is missing")
+
+
+def _encoder(path: Path, fps: float, size: tuple[int, int]) -> _H264 | _Mpeg4:
+    try:
+        import av  # noqa: F401
+    except ImportError:
+        return _Mpeg4(path, fps, size)
+    return _H264(path, fps, size)

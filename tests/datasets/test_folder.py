@@ -1,0 +1,63 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from psiamfcpp.datasets import folder
+from psiamfcpp.errors import UserError
+
+
+def test_sequences_at_any_depth(lay):
+    root = lay(
+        {
+            "b/deep/car1_s/groundtruth_rect.txt": "1,2,3,4\n5,6,7,8\n",
+            "a/boat_2/groundtruth_rect.txt": "9,9,9,9\n",
+        },
+        empty=("b/deep/car1_s/img/0002.jpg", "b/deep/car1_s/img/0001.jpg", "a/boat_2/img/1.PNG"),
+    )
+    boat, car = folder.read(root)
+    assert (boat.name, boat.source, car.name, car.source) == ("boat_2", "boat", "car1_s", "car")
+    assert [p.name for p in car.frames] == ["0001.jpg", "0002.jpg"]
+    assert car.boxes.tolist() == [[1, 2, 3, 4], [5, 6, 7, 8]]
+    assert boat.frames == [root / "a/boat_2/img/1.PNG"]
+
+
+def test_only_images_are_frames(lay):
+    root = lay({"img/notes.txt": "", "img/a.webp": "", "img/b.jpeg": ""})
+    assert [p.name for p in folder.image_files(root / "img")] == ["a.webp", "b.jpeg"]
+
+
+@pytest.mark.parametrize("text", ["1,2,3,4", "1\t2\t3\t4\n", " 1 2  3 4 \n\n", "1, 2, 3, 4\r\n"])
+def test_boxes_parted_by_commas_tabs_or_blanks(tmp_path: Path, text: str):
+    path = tmp_path / "boxes.txt"
+    path.write_text(text)
+    assert folder.read_boxes(path).tolist() == [[1, 2, 3, 4]]
+
+
+def test_boxes_of_nan_stay_nan(tmp_path: Path):
+    path = tmp_path / "boxes.txt"
+    path.write_text("NaN,NaN,NaN,NaN\n1.5,2,3,4\n")
+    np.testing.assert_equal(folder.read_boxes(path), [[np.nan] * 4, [1.5, 2, 3, 4]])
+
+
+@pytest.mark.parametrize(
+    "text", ["1,2,3\n", "1,2\n3,4\n", "1,2,3,4\n1,2\n", "1,2,3,4,5,6,7,8\n", "1,2,three,4\n"]
+)
+def test_boxes_that_are_not_four_numbers_a_line(tmp_path: Path, text: str):
+    path = tmp_path / "boxes.txt"
+    path.write_text(text)
+    with pytest.raises(UserError, match=r"boxes\.txt (cannot be read|do not have four numbers)"):
+        folder.read_boxes(path)
+
+
+def test_boxes_missing(tmp_path: Path):
+    with pytest.raises(UserError, match=r"none\.txt cannot be read"):
+        folder.read_boxes(tmp_path / "none.txt")
+
+
+def test_another_number_of_boxes_than_of_images(lay):
+    root = lay({"car/groundtruth_rect.txt": "1,2,3,4\n5,6,7,8\n"}, empty=("car/img/1.jpg",))
+    with pytest.raises(UserError, match="car has 1 images but 2 boxes"):
+        folder.read(root)
