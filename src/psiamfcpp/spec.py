@@ -1,4 +1,4 @@
-"""What a model file says about itself: widths, crop sizes, tracking constants, confidence limits, provenance.
+"""What a model file says about itself: widths, crop sizes, tracking constants, calibration, provenance.
 
 This is the JSON in the metadata of a checkpoint, so it lives below both the network and the tracker and imports
 neither.
@@ -52,14 +52,21 @@ class TrackingConstants:
 
 
 @dataclass(frozen=True)
-class ConfidenceLimits:
-    """Limits on the confidence that part the states tracking, unsure and lost (see docs/confidence.md)."""
+class Calibration:
+    """How a score map becomes a confidence, and a confidence a state (docs/confidence.md).
 
-    unsure_below: float = 0.0
-    """confidence under which a frame counts as unsure"""
-    lost_below: float = 0.0
-    """confidence under which a frame speaks for a lost target"""
-    regain_above: float = 0.0
+    The confidence is ``sigmoid(bias + score_weight * logit(peak) + contrast_weight * log(peak / rest))``: the
+    estimated probability that the target is where the peak says, fitted by `psiamfcpp calibrate`.
+    """
+
+    bias: float = 0.0
+    score_weight: float = 1.0
+    contrast_weight: float = 0.0
+    unsure_below: float = 0.5
+    """confidence under which the size is not updated"""
+    lost_below: float = 0.2
+    """confidence under which the position is not updated either; a run of such frames means lost"""
+    regain_above: float = 0.8
     """confidence that takes a lost target up again"""
 
 
@@ -71,7 +78,7 @@ class ModelSpec:
     template_size: int = TEMPLATE_SIZE
     search_size: int = 303
     constants: TrackingConstants = TrackingConstants()
-    confidence: ConfidenceLimits = ConfidenceLimits()
+    calibration: Calibration = Calibration()
     provenance: dict[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -96,8 +103,8 @@ class ModelSpec:
         if not isinstance(data, dict) or data.pop("format", None) != FORMAT:
             raise UserError(f"model description is not {FORMAT}: the file comes from another program or version")
         constants = _build(TrackingConstants, data.pop("constants", {}))
-        confidence = _build(ConfidenceLimits, data.pop("confidence", {}))
-        return _build(cls, {**data, "constants": constants, "confidence": confidence})
+        calibration = _build(Calibration, data.pop("calibration", {}))
+        return _build(cls, {**data, "constants": constants, "calibration": calibration})
 
 
 def feature_size(side: int) -> int:

@@ -39,7 +39,7 @@ def read(path: Path) -> tuple[ModelSpec, dict[str, Tensor]]:
             metadata = file.metadata() or {}
             if "psiamfcpp" not in metadata:
                 raise UserError(f"{path} does not describe a psiamfcpp model: was it made by another program?")
-            return ModelSpec.from_json(metadata["psiamfcpp"]), {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118
+            return ModelSpec.from_json(metadata["psiamfcpp"]), {key: file.get_tensor(key) for key in file.keys()}
     except (SafetensorError, OSError) as error:
         raise UserError(f"checkpoint {path} cannot be read ({error}): the file is damaged or no safetensors") from None
     except UserError as error:
@@ -86,8 +86,11 @@ def fit(model: SiamFCpp, weights: dict[str, Tensor], origin: str) -> None:
         for k in own
         if k in weights and weights[k].shape != own[k].shape
     )
-    faults = [f"{what} {', '.join(names)}" for what, names in
-              (("missing:", missing), ("extra:", extra), ("of another shape:", shapes)) if names]
+    faults = [
+        f"{what} {', '.join(names)}"
+        for what, names in (("missing:", missing), ("extra:", extra), ("of another shape:", shapes))
+        if names
+    ]
     if faults:
         raise UserError(f"{origin} does not fit the network; {'; '.join(faults)}")
     bad = sorted(k for k, v in weights.items() if not torch.isfinite(v.float()).all())

@@ -23,8 +23,12 @@ def init_neck_and_head(model: SiamFCpp, seed: int = 0) -> None:
             inputs = block.conv.weight[0].numel()
             with torch.no_grad():
                 block.conv.weight.normal_(0, math.sqrt(2 / inputs), generator=generator)
-                block.conv.bias.zero_()
-    nn.init.constant_(model.head.reg_offsets.bn.weight, 0.3)
-    nn.init.constant_(model.head.cls_score.bn.bias, -math.log(99))
-    # exp(1.2) * 8 = 27 px: about half the side that the context gives a target.
-    nn.init.constant_(model.head.reg_offsets.bn.bias, 1.2)
+                nn.init.zeros_(block.conv.bias)  # type: ignore[arg-type]
+    for block, scale, shift in (
+        (model.head.cls_score, 1.0, -math.log(99)),
+        # exp(1.2) * 8 = 27 px: about half the side that the context gives a target.
+        (model.head.reg_offsets, 0.3, 1.2),
+    ):
+        assert block.bn is not None
+        nn.init.constant_(block.bn.weight, scale)
+        nn.init.constant_(block.bn.bias, shift)

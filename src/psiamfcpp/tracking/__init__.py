@@ -1,0 +1,5 @@
+"""Frame in, box out."""
+
+from psiamfcpp.tracking.tracker import Track, Tracker
+
+__all__ = ["Track", "Tracker"]

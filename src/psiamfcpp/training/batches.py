@@ -36,7 +36,9 @@ class Batch:
 
     def to(self, device: torch.device) -> Batch:
         """The batch on another device."""
-        return Batch(*(t.to(device, non_blocking=True) for t in (self.template, self.search, self.corners, self.present)))
+        return Batch(
+            *(t.to(device, non_blocking=True) for t in (self.template, self.search, self.corners, self.present))
+        )
 
 
 def collate(pairs: list[Pair]) -> Batch:

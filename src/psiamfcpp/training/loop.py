@@ -8,7 +8,6 @@ import json
 import os
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -21,54 +20,15 @@ from psiamfcpp.errors import UserError
 from psiamfcpp.models.checkpoint import save
 from psiamfcpp.models.network import SiamFCpp
 from psiamfcpp.training.batches import Batch, numbered_batches
-from psiamfcpp.training.losses import LossWeights, losses
-from psiamfcpp.training.pairs import PairOptions, PairSampler
-from psiamfcpp.training.schedule import Schedule
+from psiamfcpp.training.losses import losses
+from psiamfcpp.training.options import LossWeights, RunOptions, TrainOptions
+from psiamfcpp.training.pairs import PairSampler
 from psiamfcpp.training.targets import assign
 from psiamfcpp.training.validation import held_out_batches, pair_score
 
 STATE_FILE = "state.pt"
 LOG_FILE = "log.jsonl"
 MODEL_FILE = "model.safetensors"
-
-
-@dataclass(frozen=True)
-class TrainOptions:
-    """Everything that decides the result of a run, apart from data and initial weights."""
-
-    pairs: PairOptions = PairOptions()
-    schedule: Schedule = field(default_factory=Schedule)
-    losses: LossWeights = LossWeights()
-    batch: int = 32
-    """pairs a step and process"""
-    optimizer: str = "adamw"
-    """adamw, or sgd with the authors' momentum"""
-    weight_decay: float = 1e-4
-    """weight decay of convolution weights"""
-    clip: float = 10.0
-    """largest norm of the gradient"""
-    ema: float = 0.999
-    """decay of the running mean of the weights, which is what is validated and saved; 0 keeps the last weights"""
-    seed: int = 0
-    """seed of pairs and augmentation"""
-
-
-@dataclass(frozen=True)
-class RunOptions:
-    """How a run is carried out; none of it decides the result."""
-
-    bf16: bool = True
-    """autocast to bfloat16 where the processor computes it"""
-    workers: int = 1
-    """loader processes"""
-    cache_gb: float = 6.0
-    """decoded images kept in memory by each loader process, GB"""
-    validate_every: int = 500
-    """steps between validations"""
-    save_every: int = 250
-    """steps between saved states"""
-    validation_pairs: int = 512
-    """held-out pairs a validation"""
 
 
 class PairLoss(nn.Module):
@@ -87,7 +47,12 @@ class PairLoss(nn.Module):
 
 
 def train(
-    model: SiamFCpp, training: list[Sequence], held_out: list[Sequence], output: Path, options: TrainOptions, run: RunOptions
+    model: SiamFCpp,
+    training: list[Sequence],
+    held_out: list[Sequence],
+    output: Path,
+    options: TrainOptions,
+    run: RunOptions,
 ) -> Iterator[dict[str, Any]]:
     """Train a network, or continue the run found in ``output``.
 
@@ -109,8 +74,10 @@ def train(
         UserError: the folder holds a run with other options, or cannot be written.
     """
     rank, ranks = _join_processes()
-    device = torch.device("cuda", int(os.environ.get("LOCAL_RANK", 0))) if torch.cuda.is_available() else torch.device("cpu")
-    model.to(device=device, memory_format=torch.channels_last)
+    device = (
+        torch.device("cuda", int(os.environ.get("LOCAL_RANK", 0))) if torch.cuda.is_available() else torch.device("cpu")
+    )
+    model.to(device).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
     output.mkdir(parents=True, exist_ok=True)
     optimizer = _optimizer(model, options)
     mean = {k: v.detach().clone() for k, v in model.state_dict().items()}
@@ -118,7 +85,9 @@ def train(
     _truncate_log(output / LOG_FILE, start)
 
     sampler = PairSampler(training, options.pairs, options.seed, int(run.cache_gb * 1e9))
-    validation = held_out_batches(held_out, options.pairs, run.validation_pairs, options.batch) if held_out and rank == 0 else []
+    validation = (
+        held_out_batches(held_out, options.pairs, run.validation_pairs, options.batch) if held_out and rank == 0 else []
+    )
     module: nn.Module = PairLoss(model, options.losses)
     free: frozenset[str] | None = None
     clock, sums = time.perf_counter(), []
@@ -144,10 +113,16 @@ def train(
         if rank == 0 and (done % 50 == 0 or done == steps):
             row: dict[str, Any] = {k: sum(s[k] for s in sums) / len(sums) for k in sums[0]}
             pairs = len(sums) * options.batch * ranks
-            row |= {"step": done, "lr": options.schedule.rate(step), "pairs_per_s": pairs / (time.perf_counter() - clock)}
+            row |= {
+                "step": done,
+                "lr": options.schedule.rate(step),
+                "pairs_per_s": pairs / (time.perf_counter() - clock),
+            }
             if validation and (done % run.validate_every == 0 or done == steps):
                 with _weights(model, mean):
-                    row["validation"] = dataclasses.asdict(pair_score(model, validation, run.bf16 and bf16_pays(device)))
+                    row["validation"] = dataclasses.asdict(
+                        pair_score(model, validation, run.bf16 and bf16_pays(device))
+                    )
             sums, clock = [], time.perf_counter()
             with (output / LOG_FILE).open("a") as log:
                 log.write(json.dumps(row) + "\n")
@@ -187,9 +162,7 @@ def _optimizer(model: SiamFCpp, options: TrainOptions) -> torch.optim.Optimizer:
     listed = [{"params": p, "factor": factor, "weight_decay": decay} for (factor, decay), p in groups.items()]
     if options.optimizer == "sgd":
         return torch.optim.SGD(listed, lr=options.schedule.lr, momentum=0.9)
-    if options.optimizer == "adamw":
-        return torch.optim.AdamW(listed, lr=options.schedule.lr)
-    raise UserError(f"unknown optimizer {options.optimizer!r}: use adamw or sgd")
+    return torch.optim.AdamW(listed, lr=options.schedule.lr)
 
 
 def _thaw(model: SiamFCpp, free: frozenset[str], weights: LossWeights, ranks: int) -> nn.Module:
@@ -227,7 +200,12 @@ def _weights(model: SiamFCpp, weights: dict[str, Tensor]) -> Iterator[None]:
 
 
 def _save(
-    output: Path, model: SiamFCpp, mean: dict[str, Tensor], optimizer: torch.optim.Optimizer, step: int, options: TrainOptions
+    output: Path,
+    model: SiamFCpp,
+    mean: dict[str, Tensor],
+    optimizer: torch.optim.Optimizer,
+    step: int,
+    options: TrainOptions,
 ) -> None:
     state = {
         "step": step,
@@ -244,7 +222,11 @@ def _save(
 
 
 def _resume(
-    path: Path, model: SiamFCpp, mean: dict[str, Tensor], optimizer: torch.optim.Optimizer, options: TrainOptions
+    path: Path,
+    model: SiamFCpp,
+    mean: dict[str, Tensor],
+    optimizer: torch.optim.Optimizer,
+    options: TrainOptions,
 ) -> int:
     """Take up the saved state, if any; the step to go on from."""
     if not path.exists():

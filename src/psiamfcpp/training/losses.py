@@ -2,25 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from psiamfcpp.training.options import LossWeights
 from psiamfcpp.training.targets import Targets
-
-
-@dataclass(frozen=True)
-class LossWeights:
-    """Weights of the three losses; the defaults are SiamFC++'s."""
-
-    cls: float = 1.0
-    """focal loss of the class"""
-    centerness: float = 1.0
-    """binary cross-entropy of the centre-ness"""
-    iou: float = 3.0
-    """minus the logarithm of the overlap"""
 
 
 def focal_loss(logits: Tensor, positive: Tensor, alpha: float = 0.25, gamma: float = 2.0) -> Tensor:
@@ -60,5 +47,9 @@ def losses(maps: tuple[Tensor, Tensor, Tensor], targets: Targets, weights: LossW
         "centerness": F.binary_cross_entropy_with_logits(centerness[positive], quality, reduction="sum") / count,
         "iou": (overlap_loss * quality).sum() / quality.sum().clamp(min=1e-6),
     }
-    parts["total"] = weights.cls * parts["cls"] + weights.centerness * parts["centerness"] + weights.iou * parts["iou"]
+    parts["total"] = (
+        weights.cls_weight * parts["cls"]
+        + weights.centerness_weight * parts["centerness"]
+        + weights.iou_weight * parts["iou"]
+    )
     return parts

@@ -20,31 +20,12 @@ from psiamfcpp.errors import UserError
 from psiamfcpp.geometry import FloatArray, centre, context_side
 from psiamfcpp.spec import STRIDE, TEMPLATE_SIZE, score_size
 from psiamfcpp.training import augment
+from psiamfcpp.training.options import PairOptions
 
 Corners = tuple[float, float, float, float]
 
 # Objects with a smaller geometric mean side hold too few pixels to be told from their surroundings.
 _SMALLEST_SIDE = 5.0
-
-
-@dataclass(frozen=True)
-class PairOptions:
-    """How pairs are drawn; shift, scale, negatives and gap are SiamFC++'s."""
-
-    search_size: int = 303
-    """side of the search crop, pixels"""
-    shift: float = 0.4
-    """largest shift of the target from the search crop's centre, as a share of half its side"""
-    scale: float = 0.3
-    """largest change of scale of the search crop: the factor lies in [1/(1+scale), 1+scale]"""
-    negatives: float = 0.1
-    """share of pairs whose search crop shows another object, of the same picture where there is one"""
-    max_gap: int = 100
-    """largest number of frames between the two crops of a clip"""
-    clip_share: float = 0.5
-    """share of pairs from clips where there are both clips and photographs"""
-    augmentation: float = 1.0
-    """strength of colour, blur, grey, rotation and occlusion; 0 is none"""
 
 
 @dataclass(frozen=True)
@@ -115,7 +96,11 @@ class PairSampler:
         x_frame, x_box = other.at(row)
         flip = -1.0 if rng.random() < 0.5 and o.augmentation else 1.0
         z_image, x_image = self._images.get(z_frame), self._images.get(x_frame)
-        z_jitter = Jitter(*(rng.normal(0, 2.0, 2) * o.augmentation), math.exp(rng.uniform(-0.06, 0.06) * o.augmentation), flip)
+        z_jitter = Jitter(
+            *(rng.normal(0, 2.0, 2) * o.augmentation),
+            math.exp(rng.uniform(-0.06, 0.06) * o.augmentation),
+            flip,
+        )
         z_map = crop_map(z_box, TEMPLATE_SIZE, z_jitter)
         template = self._show(z_image, z_map, TEMPLATE_SIZE, rng)
 

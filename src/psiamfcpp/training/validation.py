@@ -14,7 +14,8 @@ from psiamfcpp.datasets import Sequence
 from psiamfcpp.geometry import from_corners, overlap
 from psiamfcpp.models.network import SiamFCpp
 from psiamfcpp.training.batches import Batch, collate
-from psiamfcpp.training.pairs import PairOptions, PairSampler
+from psiamfcpp.training.options import PairOptions
+from psiamfcpp.training.pairs import PairSampler
 
 
 @dataclass(frozen=True)

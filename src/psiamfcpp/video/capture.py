@@ -19,7 +19,9 @@ def open_capture(target: int | str, timeout_s: float | None) -> cv2.VideoCapture
     """
     # read once, when FFmpeg is first used: -8 is its "quiet"
     os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
-    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
+    # OpenCV 5 moved it; 0 is "silent" in both places
+    set_log_level = getattr(cv2, "setLogLevel", None) or cv2.utils.logging.setLogLevel
+    set_log_level(0)
     if isinstance(target, int):
         return cv2.VideoCapture(target)
     if timeout_s is None:

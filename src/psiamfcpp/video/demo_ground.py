@@ -18,9 +18,12 @@ SUN = np.array([6.0, 8.0])
 """where a car's shadow falls, in ground pixels"""
 
 _MAIN_WIDTH, _BRIDGE_WIDTH = 4 * LANE + 30, 2 * LANE + 52
+_SPAN = 175
+"""half the length of the bridge"""
 _WHITE, _ASPHALT = (205, 212, 214), (92, 90, 88)
 _CROPS = [
-    (62, 112, 92), (58, 128, 98), (70, 140, 118), (92, 158, 164), (118, 176, 190), (84, 120, 148), (52, 98, 78),
+    (62, 112, 92), (58, 128, 98), (70, 140, 118), (52, 98, 78),
+    (92, 158, 164), (118, 176, 190), (84, 120, 148),
 ]  # fmt: skip
 _ROOFS = [(58, 74, 150), (64, 88, 170), (84, 84, 96), (70, 66, 72), (96, 112, 150)]
 
@@ -111,7 +114,7 @@ def _road(corners: list[tuple[float, float] | Points]) -> Road:
 def _noise(rng: np.random.Generator, side: int, cells: int) -> NDArray[np.float32]:
     """Smooth noise ``(side, side)`` of unit spread, with so many bumps a side."""
     coarse = rng.standard_normal((cells, cells)).astype(np.float32)
-    return cv2.resize(coarse, (side, side), interpolation=cv2.INTER_CUBIC)
+    return np.asarray(cv2.resize(coarse, (side, side), interpolation=cv2.INTER_CUBIC), np.float32)
 
 
 def _fields(rng: np.random.Generator) -> NDArray[np.uint8]:
@@ -160,9 +163,16 @@ def _split(low: Points, high: Points, rng: np.random.Generator) -> list[tuple[Po
 
 def _pond(image: Image, centre: Points, rng: np.random.Generator) -> None:
     angle = np.linspace(0, 2 * np.pi, 120, endpoint=False)
-    bumps = sum(rng.uniform(0.02, 0.09) * np.sin(k * angle + rng.uniform(0, 6)) for k in (2, 3, 5, 7))
+    bumps = np.zeros_like(angle)
+    for waves in (2, 3, 5, 7):
+        bumps += rng.uniform(0.02, 0.09) * np.sin(waves * angle + rng.uniform(0, 6))
     rim = np.stack([np.cos(angle) * 250, np.sin(angle) * 170], axis=1) * (1 + bumps)[:, None]
-    for scale, colour in ((1.12, (70, 112, 104)), (1.04, (96, 138, 148)), (1.0, (112, 104, 74)), (0.9, (104, 92, 60))):
+    for scale, colour in (
+        (1.12, (70, 112, 104)),
+        (1.04, (96, 138, 148)),
+        (1.0, (112, 104, 74)),
+        (0.9, (104, 92, 60)),
+    ):
         _fill(image, centre + rim * scale, colour)
 
 
@@ -181,21 +191,22 @@ def _main_road(image: Image, road: Road) -> None:
 def _crossing_road(image: Image, road: Road, bridge: Points) -> tuple[Image, Points]:
     """Draw the road that crosses on the bridge, and hand back what it hides and the place of that mask."""
     middle = road.nearest(bridge)
-    deck = road.points[middle - 175 : middle + 175]
+    span = slice(middle - _SPAN, middle + _SPAN)
     shadow = np.zeros(image.shape[:2], np.uint8)
-    _stroke(shadow, deck + 4.5 * SUN, (255, 255, 255), _BRIDGE_WIDTH)
-    shadow = cv2.GaussianBlur(shadow, (0, 0), 3)
+    _fill(shadow, _band(road, span, _BRIDGE_WIDTH) + 4.5 * SUN, (255, 255, 255))
+    shadow = np.asarray(cv2.GaussianBlur(shadow, (0, 0), 3), np.uint8)
     image[:] = (image * (1 - 0.5 * (shadow / 255.0))[:, :, None]).astype(np.uint8)
     hidden = np.zeros_like(shadow)
-    _stroke(hidden, deck, (255, 255, 255), _BRIDGE_WIDTH)
+    _fill(hidden, _band(road, span, _BRIDGE_WIDTH), (255, 255, 255))
 
-    _stroke(image, road.points, (94, 134, 132), _BRIDGE_WIDTH + 16, spare=hidden)
-    _stroke(image, road.points, _ASPHALT, 2 * LANE + 24, spare=hidden)
-    _stroke(image, deck, (150, 154, 156), _BRIDGE_WIDTH)
-    _stroke(image, deck, (100, 98, 96), 2 * LANE + 28)
+    for bank in (road.points[: span.start], road.points[span.stop :]):
+        _stroke(image, bank, (94, 134, 132), _BRIDGE_WIDTH + 16)
+        _stroke(image, bank, _ASPHALT, 2 * LANE + 24)
+    _fill(image, _band(road, span, _BRIDGE_WIDTH), (150, 154, 156))
+    _fill(image, _band(road, slice(span.start + 6, span.stop - 6), 2 * LANE + 28), (100, 98, 96))
     for side in (-1, 1):
         _stroke(image, road.beside(side * (LANE + 3)), _WHITE, 3)
-        rail = road.beside(side * (_BRIDGE_WIDTH / 2 - 4))[middle - 175 : middle + 175]
+        rail = road.beside(side * (_BRIDGE_WIDTH / 2 - 4))[span]
         _stroke(image, rail + 0.35 * SUN, (104, 106, 108), 4)
         _stroke(image, rail, (196, 200, 202), 4)
     _dashes(image, road.points, 46, 72)
@@ -231,9 +242,7 @@ def _houses(
 
 def _roof(image: Image, place: Points, half: Points, axes: Points, colour: tuple[int, int, int]) -> None:
     corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * half @ axes
-    for step in np.linspace(0.2, 1, 12):
-        if step == 1:
-            break
+    for step in np.linspace(0.2, 0.95, 11):
         _darken(image, place + corners + step * 3.2 * SUN, 0.93)
     ridge = np.array([[-1, 0], [1, 0]]) * half @ axes
     for edge, (a, b) in enumerate(((0, 1), (2, 3))):
@@ -254,13 +263,15 @@ def _trees(image: Image, taken: Image, rng: np.random.Generator) -> None:
     woods = _noise(rng, SIDE // 8, 16) + 0.3 * _noise(rng, SIDE // 8, 60)
     for x, y in rng.uniform(60, SIDE - 60, (5200, 2)):
         wooded = woods[int(y) // 8, int(x) // 8] > 1.15
-        if not wooded and rng.random() > 0.045:
+        if not wooded and rng.random() > 0.07:
             continue
         radius = int(rng.uniform(16, 40))
         rows, columns = slice(int(y) - radius, int(y) + radius), slice(int(x) - radius, int(x) + radius)
         if taken[rows, columns].any():
             continue
-        tree = cv2.resize(kinds[rng.integers(len(kinds))], (2 * radius, 2 * radius), interpolation=cv2.INTER_AREA)
+        tree = cv2.resize(
+            kinds[rng.integers(len(kinds))], (2 * radius, 2 * radius), interpolation=cv2.INTER_AREA
+        )
         alpha = tree[:, :, 3:]
         dx, dy = (SUN * radius / 26).astype(int)
         below = image[rows.start + dy : rows.stop + dy, columns.start + dx : columns.stop + dx]
@@ -283,7 +294,7 @@ def _tree(rng: np.random.Generator) -> NDArray[np.float32]:
         colour = base * (0.55 + 0.75 * height) * rng.uniform(0.88, 1.12)
         x, y = np.rint(centre * 16).astype(int)
         cv2.circle(crown, (int(x), int(y)), int(rng.uniform(5, 11) * 16), (*colour, 1.0), -1, cv2.LINE_8, 4)
-    return cv2.GaussianBlur(crown, (0, 0), 1.0)
+    return np.asarray(cv2.GaussianBlur(crown, (0, 0), 1.0), np.float32)
 
 
 def _grained(image: Image, rng: np.random.Generator) -> Image:
@@ -292,14 +303,14 @@ def _grained(image: Image, rng: np.random.Generator) -> Image:
     return np.asarray(cv2.addWeighted(image, 1.0, grain, 1.6, -128 * 1.6), np.uint8)
 
 
-def _stroke(
-    image: Image, points: Points, colour: tuple[float, ...], width: float, spare: Image | None = None
-) -> None:
-    before = None if spare is None else image[spare > 0]
+def _band(road: Road, span: slice, width: float) -> Points:
+    """The outline of a stretch of road, square at its ends."""
+    return np.concatenate([road.beside(-width / 2)[span], road.beside(width / 2)[span][::-1]])
+
+
+def _stroke(image: Image, points: Points, colour: tuple[float, ...], width: float) -> None:
     line = np.rint(points[:: 1 if len(points) < 20 else 6] * 16).astype(np.int32)
     cv2.polylines(image, [line], False, colour, max(1, round(width)), cv2.LINE_AA, 4)
-    if spare is not None:
-        image[spare > 0] = before
 
 
 def _dashes(image: Image, points: Points, dash: int, gap: int) -> None:

@@ -79,7 +79,7 @@ def stamp(
         image: ``(H, W, 3)`` uint8 BGR.
         layer: ``pixels`` or ``shadow`` of a `Sprite`.
         to_image: ``(2, 3)``: from the layer's pixels to the picture's.
-        cover: what lies above: a mask (0 open .. 255 covered) and ``(2, 3)`` from its pixels to the picture's.
+        cover: what lies above: a mask (0 open .. 255 covered), ``(2, 3)`` from its pixels to the picture's.
 
     Returns:
         The share of the layer that is not covered, 0 to 1; what lies outside the picture does not count.
@@ -109,14 +109,16 @@ class _Sheet:
 
     def __init__(self, length: float, width: float, squareness: float, colour: Colour) -> None:
         self._half = np.array([length, width]) / 2 + _MARGIN
-        shape = tuple(int(round(2 * h * _DETAIL)) * _FINE for h in self._half[::-1])
+        shape = tuple(round(2 * h * _DETAIL) * _FINE for h in self._half[::-1])
         self._canvas = np.zeros((*shape, 3), np.uint8)
         self._mask = np.zeros(shape, np.uint8)
         self.outline = _rounded((-length / 2, length / 2), (-width / 2, width / 2), squareness)
         self._fill(self._canvas, self.outline, colour)
         self._fill(self._mask, self.outline, (255, 255, 255))
 
-    def block(self, x: tuple[float, float], y: tuple[float, float], colour: Colour, squareness: float) -> None:
+    def block(
+        self, x: tuple[float, float], y: tuple[float, float], colour: Colour, squareness: float
+    ) -> None:
         self._fill(self._canvas, _rounded(x, y, squareness), colour)
 
     def line(self, start: tuple[float, float], end: tuple[float, float], colour: Colour) -> None:
@@ -130,7 +132,7 @@ class _Sheet:
         light = np.clip(0.72 + 0.1 * depth, 0, 1)[:, :, None]
         alpha = (self._mask / 255.0)[:, :, None]
         fine = np.concatenate([self._canvas * light * alpha, alpha], axis=2).astype(np.float32)
-        pixels = cv2.resize(fine, (width, height), interpolation=cv2.INTER_AREA)
+        pixels = np.asarray(cv2.resize(fine, (width, height), interpolation=cv2.INTER_AREA), np.float32)
         shadow = np.zeros_like(pixels)
         shadow[:, :, 3] = 0.5 * cv2.GaussianBlur(pixels[:, :, 3], (0, 0), 1.2)
         scale = 2 * self._half / (width, height)

@@ -85,8 +85,9 @@ def _scale(image: Image) -> float:
 
 def _measure(text: str, scale: float) -> tuple[int, int, int]:
     """Width and height of a text, and the margin that it wants, in pixels."""
-    (width, height), _ = cv2.getTextSize(text, _FONT, 0.6 * scale, _weight(scale))
-    return width, height, max(2, round(5 * scale))
+    (width, height), below = cv2.getTextSize(text, _FONT, 0.6 * scale, _weight(scale))
+    # the tail of a "g" hangs below the text's own height
+    return width, height, max(2, round(5 * scale), below + 1)
 
 
 def _put(image: Image, text: str, origin: tuple[int, int], scale: float, colour: Colour) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import math
 import os
 from fractions import Fraction
@@ -16,7 +17,6 @@ from numpy.typing import NDArray
 
 from psiamfcpp.errors import UserError
 from psiamfcpp.geometry import Box
-from psiamfcpp.video.capture import open_capture
 
 if TYPE_CHECKING:
     from av import VideoFrame
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 Image = NDArray[np.uint8]
 
 SUFFIXES = (".mp4", ".mkv", ".avi")
+_PROBE = 2**16
 _DISK = "check that the disk has room"
 
 
@@ -52,9 +53,7 @@ class VideoWriter:
         if self._path.is_dir():
             raise UserError(f"video {path} cannot be written: a folder has that name")
         if not (math.isfinite(fps) and fps > 0) or min(size) < 1:
-            raise UserError(
-                f"video {path} cannot have {fps:g} fps at {size[0]}x{size[1]}: both must be above 0"
-            )
+            raise UserError(f"video {path} cannot have {fps:g} fps at {size[0]}x{size[1]}: give more than 0")
         self._part = self._path.with_name(f".{self._path.stem}.{os.getpid()}.part{self._path.suffix}")
         try:
             self._part.open("wb").close()
@@ -219,26 +218,23 @@ class _Mpeg4:
     """MPEG-4 by OpenCV; raises OSError where the disk fails."""
 
     def __init__(self, path: Path, fps: float, size: tuple[int, int]) -> None:
-        self._path, self._count = path, 0
+        self._path = path
         self._writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"mp4v"), fps, size)
         if not self._writer.isOpened():
             raise UserError(f"video {path} cannot be encoded by this OpenCV: install PyAV (pip install av)")
 
     def write(self, frame: Image) -> None:
         self._writer.write(frame)
-        self._count += 1
 
     def finish(self) -> None:
         self._writer.release()
-        if not self._count:
-            return
-        # OpenCV says nothing of a write that failed: only the last frame tells
-        capture = open_capture(str(self._path.absolute()), None)
-        capture.set(cv2.CAP_PROP_POS_FRAMES, self._count - 1)
-        whole = capture.read()[0]
-        capture.release()
-        if not whole:
-            raise OSError("its end is missing")
+        # OpenCV says nothing of a write that failed: but where one did, more would not fit either
+        with self._path.open("ab", buffering=0) as file:
+            size = file.tell()
+            fits = file.write(bytes(_PROBE)) == _PROBE
+            file.truncate(size)
+        if not fits:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
 
 def _encoder(path: Path, fps: float, size: tuple[int, int]) -> _H264 | _Mpeg4:

@@ -7,6 +7,8 @@ from pathlib import Path
 
 from psiamfcpp.errors import UserError
 
+DEFAULT_MODEL = "siamfcpp-alexnet"
+
 _FOLDER = Path(__file__).parent
 
 

@@ -1,0 +1,48 @@
+"""From a score map to a calibrated confidence, and from confidences to the states tracking, unsure and lost."""
+
+from __future__ import annotations
+
+import math
+from typing import Literal
+
+from psiamfcpp.spec import Calibration
+
+State = Literal["tracking", "unsure", "lost"]
+
+# A target is given up after so many frames in a row that speak for its absence; one alone may be blur or a blink.
+LOST_AFTER = 8
+
+
+def confidence(peak: float, contrast: float, calibration: Calibration) -> float:
+    """Estimated probability, 0..1, that the target is where the peak says.
+
+    Args:
+        peak: highest score, 0..1.
+        contrast: what `procedure.contrast` gives.
+        calibration: fitted weights.
+    """
+    peak = min(max(peak, 1e-4), 1 - 1e-4)
+    logit = math.log(peak / (1 - peak))
+    activation = calibration.bias + calibration.score_weight * logit + calibration.contrast_weight * contrast
+    return 1 / (1 + math.exp(-min(max(activation, -50.0), 50.0)))
+
+
+class StateMachine:
+    """The state of one target, frame by frame."""
+
+    def __init__(self, calibration: Calibration):
+        self._calibration = calibration
+        self._doubtful = 0
+        self.state: State = "tracking"
+
+    def step(self, value: float) -> State:
+        """Take the confidence of one frame; the state that follows from it."""
+        limits = self._calibration
+        self._doubtful = self._doubtful + 1 if value < limits.lost_below else 0
+        if self.state == "lost":
+            self.state = "tracking" if value >= limits.regain_above else "lost"
+        elif self._doubtful >= LOST_AFTER:
+            self.state = "lost"
+        else:
+            self.state = "unsure" if value < limits.unsure_below else "tracking"
+        return self.state

@@ -1,0 +1,175 @@
+"""The tracker: a box on the first frame, then one box a frame."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from psiamfcpp.crop import Image, crop, mean_colour
+from psiamfcpp.errors import UserError
+from psiamfcpp.geometry import Box, centre, check_box, context_side, from_centre
+from psiamfcpp.runtime import Engine, open_engine
+from psiamfcpp.spec import STRIDE, score_size
+from psiamfcpp.tracking.confidence import State, StateMachine, confidence
+from psiamfcpp.tracking.procedure import Estimate, Target, contrast, cosine_window, estimate, smooth
+from psiamfcpp.zoo import DEFAULT_MODEL
+
+# Sides below this are not followed down, unless the target began smaller (the original's lower bound).
+_SMALLEST_SIDE = 10.0
+
+
+@dataclass(frozen=True, slots=True)
+class Track:
+    """The target in one frame."""
+
+    box: Box
+    """``(x, y, w, h)``, pixels, 0-based; the last known one while lost"""
+    score: float
+    """calibrated probability, 0..1, that the target is in the box; of the plain procedure, the network's own score"""
+    state: State
+    """tracking, unsure or lost; always tracking with the plain procedure"""
+
+
+class Tracker:
+    """Follows one target with SiamFC++'s procedure, made honest about loss.
+
+    Args:
+        model: name of a shipped model, or a model file.
+        engine: what runs the network; by default the fastest there is.
+        threads: threads of the engine; by default all cores.
+        search_size: side of the search crop in pixels; by default the model's own. 239 costs 40 % less than 303.
+        plain: follow the published procedure exactly: no states, no search beyond the usual region. Use it to
+            compare with published figures.
+
+    Raises:
+        UserError: unknown model, engine or size.
+    """
+
+    def __init__(
+        self,
+        model: str = DEFAULT_MODEL,
+        engine: str | None = None,
+        threads: int | None = None,
+        search_size: int | None = None,
+        plain: bool = False,
+    ):
+        self._engine: Engine = open_engine(model, engine, threads, search_size)
+        spec = self._engine.spec
+        self.spec = spec
+        self._plain = plain
+        cells = score_size(spec.search_size, spec.template_size)
+        self._window = cosine_window(cells)
+        # Half the width of the region in which targets can be found, in pixels of the search crop.
+        self._reach = cells * STRIDE / 2
+        self._buffer = np.empty((spec.search_size, spec.search_size, 3), np.uint8)
+        self._kernels: Any = None
+
+    def init(self, frame: Image, box: ArrayLike) -> Track:
+        """Take up a target.
+
+        Args:
+            frame: ``(H, W, 3)`` uint8, BGR.
+            box: ``(x, y, w, h)`` of the target, pixels, 0-based.
+
+        Raises:
+            UserError: the frame is no such image, or the box is not one that can be tracked in it.
+        """
+        _check_frame(frame)
+        x, y, w, h = check_box(box, frame.shape)
+        cx, cy = (float(v) for v in centre((x, y, w, h)))
+        self._target = Target(cx, cy, w, h)
+        self._smallest = min(_SMALLEST_SIDE, w, h)
+        self._fill = mean_colour(frame)
+        self._states = StateMachine(self.spec.calibration)
+        self._lost_for = 0
+        side = round(context_side(w, h))
+        size = self.spec.template_size
+        self._kernels = self._engine.template(crop(frame, cx, cy, side, size, self._fill))
+        return Track((x, y, w, h), 1.0, "tracking")
+
+    def update(self, frame: Image) -> Track:
+        """Find the target in the next frame.
+
+        Args:
+            frame: ``(H, W, 3)`` uint8, BGR; its size may differ from the first frame's.
+
+        Raises:
+            UserError: `init` was not called, or the frame is no such image.
+        """
+        if self._kernels is None:
+            raise UserError("update() before init(): give the tracker a box on a first frame")
+        _check_frame(frame)
+        around = self._where_to_look(frame.shape)
+        found, apart = self._search(frame, around)
+        if self._plain:
+            self._move(found, self.spec.constants.test_lr * found.penalty * found.score, frame)
+            return Track(self._box(), found.score, "tracking")
+        return self._judge(frame, found, confidence(found.score, apart, self.spec.calibration))
+
+    def _search(self, frame: Image, around: Target) -> tuple[Estimate, float]:
+        """The estimate of one search region, and its contrast."""
+        spec = self.spec
+        side = round(context_side(around.w, around.h) * spec.search_size / spec.template_size)
+        region = crop(frame, around.cx, around.cy, side, spec.search_size, self._fill, self._buffer)
+        scores, boxes = self._engine.search(region, self._kernels)
+        found = estimate(scores, boxes, around, spec.search_size, spec.template_size, spec.constants, self._window)
+        return found, 0.0 if self._plain else contrast(scores, boxes, found.cell)
+
+    def _judge(self, frame: Image, found: Estimate, value: float) -> Track:
+        """Move as far as the confidence allows, and say what state that is."""
+        was_lost = self._states.state == "lost"
+        state = self._states.step(value)
+        if state == "lost":
+            self._lost_for += 1
+        elif was_lost or value >= self.spec.calibration.lost_below:
+            rate = self.spec.constants.test_lr * found.penalty * found.score if state == "tracking" else 0.0
+            self._move(found, rate, frame)
+            self._lost_for = 0
+        return Track(self._box(), value, state)
+
+    def _where_to_look(self, frame_shape: tuple[int, ...]) -> Target:
+        """The target's place; while lost, in turn the squares of a region about it that grows with time."""
+        t = self._target
+        if self._lost_for == 0:
+            return t
+        column, row = spiral(self._lost_for)
+        step = self._reach * context_side(t.w, t.h) / self.spec.template_size
+        height, width = frame_shape[:2]
+        cx, cy = t.cx + column * step, t.cy + row * step
+        if not (0 <= cx < width and 0 <= cy < height):
+            # Rather than look outside the frame, look again where it was last seen.
+            return t
+        return Target(cx, cy, t.w, t.h)
+
+    def _move(self, found: Estimate, rate: float, frame: Image) -> None:
+        self._target = smooth(self._target, found, rate, frame.shape, self._smallest)
+
+    def _box(self) -> Box:
+        return from_centre(self._target.cx, self._target.cy, self._target.w, self._target.h)
+
+
+def spiral(n: int) -> tuple[int, int]:
+    """Column and row of the square to look at in the ``n``-th frame since the loss (from 1).
+
+    Every other frame looks at the place of the loss itself, where most targets reappear; the frames between walk the
+    rings of squares about it, of which each is entered only when the one inside it was seen whole. After four rings
+    the walk begins anew.
+    """
+    if n % 2:
+        return 0, 0
+    k = (n // 2 - 1) % sum(8 * r for r in range(1, 5))
+    ring = 1
+    while k >= 8 * ring:
+        k -= 8 * ring
+        ring += 1
+    side, along = divmod(k, 2 * ring)
+    return [(along - ring, -ring), (ring, along - ring), (ring - along, ring), (-ring, ring - along)][side]
+
+
+def _check_frame(frame: Image) -> None:
+    if not isinstance(frame, np.ndarray) or frame.ndim != 3 or frame.shape[2] != 3 or frame.dtype != np.uint8:
+        shape = f"{frame.dtype} {frame.shape}" if isinstance(frame, np.ndarray) else type(frame).__name__
+        raise UserError(f"frame is {shape}: an array (height, width, 3) of uint8, BGR, is needed")

@@ -1,0 +1,118 @@
+"""What decides a training run, and how it is carried out; torch is not imported here, so that --help is quick."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Literal
+
+from psiamfcpp.errors import UserError
+
+
+@dataclass(frozen=True)
+class PairOptions:
+    """How pairs are drawn; shift, scale, negatives and gap are SiamFC++'s."""
+
+    search_size: int = 303
+    """side of the search crop, pixels"""
+    shift: float = 0.4
+    """largest shift of the target from the search crop's centre, as a share of half its side"""
+    scale: float = 0.3
+    """largest change of scale of the search crop: the factor lies in [1/(1+scale), 1+scale]"""
+    negatives: float = 0.1
+    """share of pairs whose search crop shows another object, of the same picture where there is one"""
+    max_gap: int = 100
+    """largest number of frames between the two crops of a clip"""
+    clip_share: float = 0.5
+    """share of pairs from clips where there are both clips and photographs"""
+    augmentation: float = 1.0
+    """strength of colour, blur, grey, rotation and occlusion; 0 is none"""
+
+
+@dataclass(frozen=True)
+class Schedule:
+    """Learning rate and freezing over a run."""
+
+    steps: int = 20000
+    """steps of the whole run"""
+    lr: float = 1e-3
+    """highest learning rate of neck and head"""
+    warmup: float = 0.05
+    """share of the run over which the rate rises"""
+    final_lr: float = 0.01
+    """share of the highest rate that is left at the end of the cosine"""
+    backbone_lr: float = 0.1
+    """rate of the backbone against that of neck and head"""
+    unfreeze: dict[str, float] = field(default_factory=lambda: {"conv5": 0.25, "conv4": 0.5, "conv3": 0.75})
+    """share of the run after which a backbone layer is trained (the authors': 5, 10 and 15 of 20 epochs); others never"""
+
+    def __post_init__(self) -> None:
+        layers = [f"conv{i}" for i in range(1, 6)]
+        for layer, share in self.unfreeze.items():
+            if layer not in layers or not 0 <= share <= 1:
+                raise UserError(f"unfreeze {layer}={share:g}: layers are {', '.join(layers)}, shares lie in 0..1")
+        if self.steps < 1 or self.lr <= 0:
+            raise UserError(f"steps ({self.steps}) and learning rate ({self.lr:g}) must be above 0")
+
+    def rate(self, step: int) -> float:
+        """Learning rate of neck and head at a step: linear warm-up, then half a cosine."""
+        warm = max(1, round(self.warmup * self.steps))
+        if step < warm:
+            return self.lr * (step + 1) / warm
+        done = (step - warm) / max(1, self.steps - warm)
+        return self.lr * (self.final_lr + (1 - self.final_lr) * (1 + math.cos(math.pi * done)) / 2)
+
+    def free(self, step: int) -> frozenset[str]:
+        """Backbone layers that are trained at a step."""
+        return frozenset(layer for layer, share in self.unfreeze.items() if step >= share * self.steps)
+
+
+@dataclass(frozen=True)
+class LossWeights:
+    """Weights of the three losses; the defaults are SiamFC++'s."""
+
+    cls_weight: float = 1.0
+    """weight of the focal loss of the class"""
+    centerness_weight: float = 1.0
+    """weight of the centre-ness loss"""
+    iou_weight: float = 3.0
+    """weight of the overlap loss"""
+
+
+@dataclass(frozen=True)
+class TrainOptions:
+    """Everything that decides the result of a run, apart from data and initial weights."""
+
+    pairs: PairOptions = PairOptions()
+    schedule: Schedule = field(default_factory=Schedule)
+    losses: LossWeights = LossWeights()
+    batch: int = 32
+    """pairs a step and process"""
+    optimizer: Literal["adamw", "sgd"] = "adamw"
+    """adamw, or sgd with the authors' momentum"""
+    weight_decay: float = 1e-4
+    """weight decay of convolution weights"""
+    clip: float = 10.0
+    """largest norm of the gradient"""
+    ema: float = 0.999
+    """decay of the running mean of the weights, which is what is validated and saved; 0 keeps the last weights"""
+    seed: int = 0
+    """seed of pairs and augmentation"""
+
+
+@dataclass(frozen=True)
+class RunOptions:
+    """How a run is carried out; none of it decides the result."""
+
+    bf16: bool = True
+    """autocast to bfloat16 where the processor computes it"""
+    workers: int = 1
+    """loader processes"""
+    cache_gb: float = 6.0
+    """decoded images kept in memory by each loader process, GB"""
+    validate_every: int = 500
+    """steps between validations"""
+    save_every: int = 250
+    """steps between saved states"""
+    validation_pairs: int = 512
+    """held-out pairs a validation"""

@@ -1,0 +1,182 @@
+"""Writers: whatever ends the writing, what is on disk is valid."""
+
+from __future__ import annotations
+
+import builtins
+import os
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from psiamfcpp.errors import UserError
+from psiamfcpp.video.source import Image, open_source
+from psiamfcpp.video.writer import BoxWriter, VideoWriter
+
+
+@pytest.fixture(params=["h264", "mpeg4"])
+def codec(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
+    if request.param == "h264":
+        pytest.importorskip("av")
+    else:
+        original = builtins.__import__
+
+        def refuse(name: str, *args: object, **kwargs: object) -> object:
+            if name == "av":
+                raise ImportError(name)
+            return original(name, *args, **kwargs)  # type: ignore[arg-type]
+
+        monkeypatch.setattr(builtins, "__import__", refuse)
+    return str(request.param)
+
+
+@contextmanager
+def disk_of(size: int) -> Iterator[None]:
+    """No file grows beyond ``size`` bytes."""
+    resource = pytest.importorskip("resource")
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+
+
+def noise(count: int, width: int = 64, height: int = 48) -> list[Image]:
+    rng = np.random.default_rng(0)
+    return [rng.integers(0, 255, (height, width, 3), dtype=np.uint8) for _ in range(count)]
+
+
+def read(path: Path) -> list[Image]:
+    with open_source(path) as source:
+        return list(source)
+
+
+@pytest.mark.parametrize("suffix", [".mp4", ".mkv", ".avi", ".MP4"])
+@pytest.mark.parametrize("size", [(64, 48), (65, 47)])
+def test_a_video_reads_back(tmp_path: Path, codec: str, suffix: str, size: tuple[int, int]) -> None:
+    path, (width, height) = tmp_path / f"a{suffix}", size
+    with VideoWriter(path, 25, size) as writer:
+        for i in range(12):
+            frame = np.full((height, width, 3), (20 * i, 100, 200), np.uint8)
+            writer.write(frame)
+    frames = read(path)
+    assert len(frames) == 12
+    assert frames[0].shape == (height + height % 2, width + width % 2, 3)
+    assert np.allclose([f[:, :, 0].mean() for f in frames], np.arange(12) * 20, atol=8)
+    assert np.allclose(frames[-1][:, -1], frames[-1][0, 0], atol=12), (
+        "the added edge is not of another colour"
+    )
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_the_final_name_appears_only_at_the_end(tmp_path: Path, codec: str) -> None:
+    path = tmp_path / "a.mp4"
+    path.write_text("older")
+    with VideoWriter(path, 25, (64, 48)) as writer:
+        for frame in noise(5):
+            writer.write(frame)
+        assert path.read_text() == "older"
+    assert len(read(path)) == 5
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt, UserError, RuntimeError])
+def test_an_interrupted_video_keeps_its_frames(
+    tmp_path: Path, codec: str, error: type[BaseException]
+) -> None:
+    path = tmp_path / "a.mp4"
+    with pytest.raises(error), VideoWriter(path, 25, (64, 48)) as writer:
+        for frame in noise(7):
+            writer.write(frame)
+        raise error("stop")
+    assert len(read(path)) == 7
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_without_a_frame_nothing_is_left(tmp_path: Path, codec: str) -> None:
+    with VideoWriter(tmp_path / "a.mp4", 25, (64, 48)):
+        pass
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("name", "fps", "size", "message"),
+    [
+        ("a.mov", 25, (64, 48), r"unknown format: .*\.mp4"),
+        ("a", 25, (64, 48), "unknown format"),
+        ("missing/a.mp4", 25, (64, 48), "cannot be written"),
+        ("folder.mp4", 25, (64, 48), "a folder has that name"),
+        ("a.mp4", 0, (64, 48), "give more than 0"),
+        ("a.mp4", float("nan"), (64, 48), "give more than 0"),
+        ("a.mp4", 25, (0, 48), "give more than 0"),
+    ],
+)
+def test_what_cannot_be_written_is_refused_at_once(
+    tmp_path: Path, name: str, fps: float, size: tuple[int, int], message: str
+) -> None:
+    (tmp_path / "folder.mp4").mkdir()
+    with pytest.raises(UserError, match=message) as caught:
+        VideoWriter(tmp_path / name, fps, size)
+    assert str(tmp_path / name) in str(caught.value)
+    assert [p.name for p in tmp_path.iterdir()] == ["folder.mp4"]
+
+
+@pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() == 0, reason="root may write anywhere")
+def test_a_folder_without_permission_is_refused(tmp_path: Path) -> None:
+    tmp_path.chmod(0o500)
+    with pytest.raises(UserError, match="cannot be written"):
+        VideoWriter(tmp_path / "a.mp4", 25, (64, 48))
+
+
+def test_a_frame_of_another_size_is_refused_and_the_rest_kept(tmp_path: Path) -> None:
+    path = tmp_path / "a.mp4"
+    with pytest.raises(UserError, match="48x64 does not fit"), VideoWriter(path, 25, (64, 48)) as writer:
+        writer.write(noise(1)[0])
+        writer.write(noise(1, 48, 64)[0])
+    assert len(read(path)) == 1
+
+
+@pytest.mark.parametrize("suffix", [".mp4", ".mkv", ".avi"])
+def test_a_full_disk_is_told_and_leaves_nothing(tmp_path: Path, codec: str, suffix: str) -> None:
+    path = tmp_path / f"a{suffix}"
+    frames = noise(80, 320, 240)
+    with (
+        disk_of(200_000),
+        pytest.raises(UserError, match=f"{path} cannot be written"),
+        VideoWriter(path, 25, (320, 240)) as writer,
+    ):
+        for frame in frames:
+            writer.write(frame)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_boxes_are_on_disk_as_they_are_written(tmp_path: Path) -> None:
+    path = tmp_path / "a.txt"
+    with pytest.raises(KeyboardInterrupt), BoxWriter(path) as writer:
+        writer.write((1, 2.005, 3.999, 40))
+        assert path.read_text() == "1.00,2.00,4.00,40.00\n"
+        writer.write((-1.5, 0, 1e4, 2))
+        raise KeyboardInterrupt
+    assert path.read_text() == "1.00,2.00,4.00,40.00\n-1.50,0.00,10000.00,2.00\n"
+
+
+def test_a_full_disk_leaves_whole_lines(tmp_path: Path) -> None:
+    path = tmp_path / "a.txt"
+    with BoxWriter(path) as writer, disk_of(50), pytest.raises(UserError, match=f"{path} cannot be written"):
+        for _ in range(10):
+            writer.write((1, 2, 3, 4))
+    assert path.read_text() == "1.00,2.00,3.00,4.00\n" * 2
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="/dev/full")
+def test_a_full_device_is_told() -> None:
+    with BoxWriter("/dev/full") as writer, pytest.raises(UserError, match="/dev/full cannot be written"):
+        writer.write((1, 2, 3, 4))
+
+
+def test_boxes_into_a_missing_folder_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(UserError, match="cannot be written"):
+        BoxWriter(tmp_path / "none" / "a.txt")
