@@ -1,0 +1,105 @@
+"""The command line: one typed function a command, in the module of the command's name."""
+
+from __future__ import annotations
+
+import contextlib
+import difflib
+import functools
+import importlib
+import io
+import os
+import re
+import sys
+from collections.abc import Callable
+from typing import Any
+
+import tyro
+
+from psiamfcpp import __version__
+from psiamfcpp.errors import UserError
+
+COMMANDS = {
+    "demo": "render an aerial clip, follow its target, and say how well",
+    "track": "follow a target in a video, camera, stream or image folder",
+    "info": "describe a model: widths, parameters, MACs, constants, provenance",
+    "evaluate": "run a tracker over a folder of sequences and score it",
+    "train": "train a network, or fine-tune one",
+    "calibrate": "fit the confidence that parts tracking, unsure and lost",
+    "import": "convert an official SiamFC++ checkpoint",
+}
+
+
+def main(args: list[str] | None = None) -> int:
+    """Run a command.
+
+    Args:
+        args: command and options; those of the process by default.
+
+    Returns:
+        The exit code: 0, or 2 after a one-line error on standard error, or 130 after an interruption.
+    """
+    args = sys.argv[1:] if args is None else args
+    try:
+        if not args or args[0] in ("-h", "--help"):
+            print(_overview())
+            return 0
+        if args[0] == "--version":
+            print(f"psiamfcpp {__version__}")
+            return 0
+        _run(args[0], args[1:])
+        return 0
+    except UserError as error:
+        print(f"psiamfcpp: {' '.join(str(error).split())}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print("psiamfcpp: interrupted", file=sys.stderr)
+        return 130
+    except BrokenPipeError:
+        # The reader of our output has left, as `head` does; nothing is wrong, but Python would complain at exit.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+
+
+def _run(command: str, args: list[str]) -> None:
+    if command not in COMMANDS:
+        near = difflib.get_close_matches(command, COMMANDS, n=1)
+        hint = f"did you mean {near[0]!r}?" if near else f"commands are {', '.join(COMMANDS)}"
+        raise UserError(f"unknown command {command!r}: {hint}")
+    # A module may not be called import.
+    module = importlib.import_module(f"psiamfcpp.cli.{'import_' if command == 'import' else command}")
+    function = module.import_ if command == "import" else getattr(module, command)
+    complaint = io.StringIO()
+    try:
+        with contextlib.redirect_stderr(complaint):
+            call = tyro.cli(
+                _deferred(function),
+                prog=f"psiamfcpp {command}",
+                args=args,
+                config=(tyro.conf.OmitArgPrefixes, tyro.conf.FlagCreatePairsOff),
+            )
+    except SystemExit as stop:
+        if not stop.code:
+            return
+        raise UserError(_one_line(complaint.getvalue())) from None
+    call()
+
+
+def _deferred(function: Callable[..., None]) -> Callable[..., Callable[[], None]]:
+    """The same signature, but returning the call instead of making it: parsing and running fail differently."""
+
+    @functools.wraps(function)
+    def prepare(*args: Any, **kwargs: Any) -> Callable[[], None]:
+        return functools.partial(function, *args, **kwargs)
+
+    return prepare
+
+
+def _one_line(panel: str) -> str:
+    """Tyro's framed complaint as one line."""
+    lines = [re.sub(r"[\u2500-\u257f]", " ", line).strip() for line in panel.splitlines()]
+    return " ".join(line for line in lines[1:] if line)
+
+
+def _overview() -> str:
+    rows = "\n".join(f"  {name:10}  {what}" for name, what in COMMANDS.items())
+    return f"usage: psiamfcpp COMMAND [OPTIONS]\n\n{rows}\n\n`psiamfcpp COMMAND --help` lists a command's options."

@@ -46,9 +46,7 @@ def _sequence(folder: Path, source: str) -> Sequence:
     outside = read_labels(require(folder / "out_of_view.txt", LAYOUT))
     frames = image_files(require(folder / "img", LAYOUT))
     if not len(frames) == len(boxes) == len(occluded) == len(outside):
-        counts = (
-            f"{len(frames)} images, {len(boxes)} boxes, {len(occluded)} occlusion, {len(outside)} view flags"
-        )
+        counts = f"{len(frames)} images, {len(boxes)} boxes, {len(occluded)} occlusion, {len(outside)} view flags"
         raise UserError(f"sequence {folder} has {counts}: the counts must be equal, fetch it again")
     boxes[(occluded == 1) | (outside == 1) | ~(boxes[:, 2:] > 0).all(axis=1)] = np.nan
     return Sequence(folder.name, frames, boxes, source)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import torch
-from safetensors import SafetensorError
+from safetensors import SafetensorError, safe_open
 from safetensors.torch import load_file
 from torch import Tensor
 
@@ -22,9 +22,17 @@ _LAYERS = {"conv1": (0, 64), "conv2": (3, 192), "conv3": (6, 384), "conv4": (8, 
 _COPY_NOISE = 0.1
 
 
-def is_alexnet(names: list[str]) -> bool:
-    """Whether tensor names are those of torchvision's AlexNet features."""
-    return "features.0.weight" in names
+def is_alexnet(path: Path) -> bool:
+    """Whether a safetensors file holds torchvision's AlexNet features.
+
+    Raises:
+        UserError: the file cannot be read.
+    """
+    try:
+        with safe_open(str(path), framework="pt") as file:
+            return "features.0.weight" in file.keys()  # noqa: SIM118 - not a dict
+    except (SafetensorError, OSError) as error:
+        raise UserError(f"weights {path} cannot be read ({error}): give a .safetensors file") from None
 
 
 def init_backbone(model: SiamFCpp, path: Path, seed: int = 0) -> None:

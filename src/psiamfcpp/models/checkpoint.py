@@ -39,7 +39,7 @@ def read(path: Path) -> tuple[ModelSpec, dict[str, Tensor]]:
             metadata = file.metadata() or {}
             if "psiamfcpp" not in metadata:
                 raise UserError(f"{path} does not describe a psiamfcpp model: was it made by another program?")
-            return ModelSpec.from_json(metadata["psiamfcpp"]), {key: file.get_tensor(key) for key in file.keys()}
+            return ModelSpec.from_json(metadata["psiamfcpp"]), {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118 - not a dict
     except (SafetensorError, OSError) as error:
         raise UserError(f"checkpoint {path} cannot be read ({error}): the file is damaged or no safetensors") from None
     except UserError as error:

@@ -80,7 +80,7 @@ class Head(nn.Module):
         self.bi = nn.Parameter(torch.tensor(0.0))
 
     def forward(self, cls: Tensor, reg: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Logits ``(B, N, N)`` of class and centre-ness, and distances ``(B, N, N, 4)`` in pixels, from correlations."""
+        """Logits ``(B, N, N)`` of class and centre-ness, and distances ``(B, N, N, 4)`` in pixels."""
         cls = self.cls3(self.cls2(self.cls1(cls)))
         reg = self.reg3(self.reg2(self.reg1(reg)))
         offsets = self.reg_offsets(reg).float().permute(0, 2, 3, 1)

@@ -28,7 +28,7 @@ class Engine(Protocol):
         ...
 
     def search(self, crop: Image, kernels: Any) -> tuple[Float32Array, Float32Array]:
-        """Scores ``(N, N)`` and boxes ``(N, N, 4)`` (x0, y0, x1, y1 in the crop) of a crop ``(S, S, 3)``, uint8, BGR."""
+        """Scores ``(N, N)`` and boxes ``(N, N, 4)``, x0, y0, x1, y1 in the crop, of a crop ``(S, S, 3)`` uint8 BGR."""
         ...
 
 

@@ -103,20 +103,28 @@ class Tracker:
             raise UserError("update() before init(): give the tracker a box on a first frame")
         _check_frame(frame)
         around = self._where_to_look(frame.shape)
-        found, apart = self._search(frame, around)
+        found, apart = self.look(frame, around)
         if self._plain:
             self._move(found, self.spec.constants.test_lr * found.penalty * found.score, frame)
             return Track(self._box(), found.score, "tracking")
         return self._judge(frame, found, confidence(found.score, apart, self.spec.calibration))
 
-    def _search(self, frame: Image, around: Target) -> tuple[Estimate, float]:
-        """The estimate of one search region, and its contrast."""
+    def look(self, frame: Image, around: Target) -> tuple[Estimate, float]:
+        """What one search region says; the tracker itself stays as it is.
+
+        Args:
+            frame: ``(H, W, 3)`` uint8, BGR.
+            around: centre and size of the target that the region is laid about.
+
+        Returns:
+            The estimate, and its contrast (see `psiamfcpp.tracking.procedure.contrast`).
+        """
         spec = self.spec
         side = round(context_side(around.w, around.h) * spec.search_size / spec.template_size)
         region = crop(frame, around.cx, around.cy, side, spec.search_size, self._fill, self._buffer)
         scores, boxes = self._engine.search(region, self._kernels)
         found = estimate(scores, boxes, around, spec.search_size, spec.template_size, spec.constants, self._window)
-        return found, 0.0 if self._plain else contrast(scores, boxes, found.cell)
+        return found, contrast(scores, boxes, found.cell)
 
     def _judge(self, frame: Image, found: Estimate, value: float) -> Track:
         """Move as far as the confidence allows, and say what state that is."""

@@ -10,7 +10,7 @@ from psiamfcpp.training.options import LossWeights
 from psiamfcpp.training.targets import Targets
 
 
-def focal_loss(logits: Tensor, positive: Tensor, alpha: float = 0.25, gamma: float = 2.0) -> Tensor:
+def focal_loss(logits: Tensor, positive: Tensor, alpha: float, gamma: float = 2.0) -> Tensor:
     """Sum over cells of the focal loss (Lin et al. 2017, equation 5) of logits ``(...)`` against bool labels."""
     labels = positive.float()
     cross_entropy = F.binary_cross_entropy_with_logits(logits, labels, reduction="none")
@@ -43,7 +43,7 @@ def losses(maps: tuple[Tensor, Tensor, Tensor], targets: Targets, weights: LossW
     quality = targets.centerness[positive]
     overlap_loss = -torch.log(iou(distances[positive], targets.distances[positive]).clamp(min=1e-6))
     parts = {
-        "cls": focal_loss(cls, positive) / count,
+        "cls": focal_loss(cls, positive, weights.focal_alpha) / count,
         "centerness": F.binary_cross_entropy_with_logits(centerness[positive], quality, reduction="sum") / count,
         "iou": (overlap_loss * quality).sum() / quality.sum().clamp(min=1e-6),
     }

@@ -43,8 +43,10 @@ class Schedule:
     """share of the highest rate that is left at the end of the cosine"""
     backbone_lr: float = 0.1
     """rate of the backbone against that of neck and head"""
-    unfreeze: dict[str, float] = field(default_factory=lambda: {"conv5": 0.25, "conv4": 0.5, "conv3": 0.75})
-    """share of the run after which a backbone layer is trained (the authors': 5, 10 and 15 of 20 epochs); others never"""
+    unfreeze: dict[str, float] = field(
+        default_factory=lambda: {"conv5": 0.25, "conv4": 0.5, "conv3": 0.75, "conv2": 1.0, "conv1": 1.0}
+    )
+    """share of the run after which a backbone layer is trained; 1 is never (the authors': 5, 10, 15 of 20 epochs)"""
 
     def __post_init__(self) -> None:
         layers = [f"conv{i}" for i in range(1, 6)]
@@ -77,6 +79,8 @@ class LossWeights:
     """weight of the centre-ness loss"""
     iou_weight: float = 3.0
     """weight of the overlap loss"""
+    focal_alpha: float = 0.25
+    """weight of positive cells in the focal loss, against 1 - alpha of negative ones; more gives higher scores"""
 
 
 @dataclass(frozen=True)

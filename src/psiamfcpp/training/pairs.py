@@ -1,6 +1,6 @@
 """Training pairs: a template crop of a target, and a search crop that holds it (or, in a negative pair, does not).
 
-Pair number ``i`` depends on the seed and on ``i`` alone, so that a run resumed at any step sees what it would have seen.
+Pair number ``i`` depends on the seed and on ``i`` alone, so that a resumed run sees what it would have seen.
 """
 
 from __future__ import annotations
@@ -96,19 +96,18 @@ class PairSampler:
         x_frame, x_box = other.at(row)
         flip = -1.0 if rng.random() < 0.5 and o.augmentation else 1.0
         z_image, x_image = self._images.get(z_frame), self._images.get(x_frame)
-        z_jitter = Jitter(
-            *(rng.normal(0, 2.0, 2) * o.augmentation),
-            math.exp(rng.uniform(-0.06, 0.06) * o.augmentation),
-            flip,
-        )
+        shift = rng.normal(0, 2.0, 2) * o.augmentation
+        z_jitter = Jitter(shift[0], shift[1], math.exp(rng.uniform(-0.06, 0.06) * o.augmentation), flip)
         z_map = crop_map(z_box, TEMPLATE_SIZE, z_jitter)
         template = self._show(z_image, z_map, TEMPLATE_SIZE, rng)
 
         turned = rng.random() < (0.2 if target.is_clip else 0.5)
         half = o.search_size / 2
         reach = min(o.shift * half, (score_size(o.search_size) + 1) / 2 * STRIDE)
+        shift = rng.uniform(-reach, reach, 2)
         jitter = Jitter(
-            *rng.uniform(-reach, reach, 2),
+            shift[0],
+            shift[1],
             math.exp(rng.uniform(-1, 1) * math.log1p(o.scale)),
             flip,
             float(rng.normal(0, 0.22)) * turned * o.augmentation,

@@ -88,9 +88,7 @@ def _render(seed: int, frames: int, size: tuple[int, int]) -> Iterator[DemoFrame
     views = _camera(target, frames, size, rng)
     noise = rng.normal(128, 3.2, (size[1] + 64, size[0] + 64, 3)).astype(np.uint8)
     for share, view in zip(np.linspace(0, 1, frames), views, strict=True):
-        ground = cv2.warpAffine(
-            land.texture, view, size, flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT_101
-        )
+        ground = cv2.warpAffine(land.texture, view, size, flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT_101)
         image = np.asarray(ground, np.uint8)
         in_sight = 1.0
         for vehicle in sorted([target, *others], key=lambda v: not v.below):
@@ -190,18 +188,12 @@ def _camera(target: _Vehicle, frames: int, size: tuple[int, int], rng: np.random
     views = []
     for number, share in enumerate(np.linspace(0, 1, frames)):
         x, y, _ = target.pose(share)
-        shake = [
-            np.sin(number * rate + p) for rate, p in zip((0.9, 1.37, 0.61, 0.43, 1.13), phase, strict=False)
-        ]
+        shake = [np.sin(number * rate + p) for rate, p in zip((0.9, 1.37, 0.61, 0.43, 1.13), phase, strict=False)]
         zoom = scale * _ZOOM * np.exp(_ZOOM_SPREAD * np.cos(2 * np.pi * (1.1 * share + 0.05)))
         angle = turn + swing * np.sin(np.pi * (share - 0.3)) + 0.0012 * shake[2]
         cos, sin = zoom * np.cos(angle), zoom * np.sin(angle)
-        to_x = width * (0.5 + 0.2 * np.sin(2 * np.pi * 0.8 * share + phase[5])) + scale * (
-            shake[0] + 0.7 * shake[3]
-        )
-        to_y = height * (0.5 + 0.16 * np.sin(2 * np.pi * 1.3 * share + phase[4])) + scale * (
-            shake[1] + 0.7 * shake[4]
-        )
+        to_x = width * (0.5 + 0.2 * np.sin(2 * np.pi * 0.8 * share + phase[5])) + scale * (shake[0] + 0.7 * shake[3])
+        to_y = height * (0.5 + 0.16 * np.sin(2 * np.pi * 1.3 * share + phase[4])) + scale * (shake[1] + 0.7 * shake[4])
         views.append(np.array([[cos, -sin, to_x - cos * x + sin * y], [sin, cos, to_y - sin * x - cos * y]]))
     return views
 

@@ -216,9 +216,7 @@ def _crossing_road(image: Image, road: Road, bridge: Points) -> tuple[Image, Poi
     return np.ascontiguousarray(cover), origin
 
 
-def _houses(
-    image: Image, taken: Image, road: Road, rng: np.random.Generator
-) -> list[tuple[float, float, float]]:
+def _houses(image: Image, taken: Image, road: Road, rng: np.random.Generator) -> list[tuple[float, float, float]]:
     yards = []
     for distance in np.arange(500, len(road.points) - 500, 190):
         for side in (-1, 1):
@@ -269,9 +267,7 @@ def _trees(image: Image, taken: Image, rng: np.random.Generator) -> None:
         rows, columns = slice(int(y) - radius, int(y) + radius), slice(int(x) - radius, int(x) + radius)
         if taken[rows, columns].any():
             continue
-        tree = cv2.resize(
-            kinds[rng.integers(len(kinds))], (2 * radius, 2 * radius), interpolation=cv2.INTER_AREA
-        )
+        tree = cv2.resize(kinds[rng.integers(len(kinds))], (2 * radius, 2 * radius), interpolation=cv2.INTER_AREA)
         alpha = tree[:, :, 3:]
         dx, dy = (SUN * radius / 26).astype(int)
         below = image[rows.start + dy : rows.stop + dy, columns.start + dx : columns.stop + dx]

@@ -70,9 +70,7 @@ def truck(colour: Colour) -> Sprite:
     return sheet.sprite()
 
 
-def stamp(
-    image: Image, layer: NDArray[np.float32], to_image: Affine, cover: tuple[Image, Affine] | None
-) -> float:
+def stamp(image: Image, layer: NDArray[np.float32], to_image: Affine, cover: tuple[Image, Affine] | None) -> float:
     """Lay a sprite's layer into a picture, in place.
 
     Args:
@@ -116,9 +114,7 @@ class _Sheet:
         self._fill(self._canvas, self.outline, colour)
         self._fill(self._mask, self.outline, (255, 255, 255))
 
-    def block(
-        self, x: tuple[float, float], y: tuple[float, float], colour: Colour, squareness: float
-    ) -> None:
+    def block(self, x: tuple[float, float], y: tuple[float, float], colour: Colour, squareness: float) -> None:
         self._fill(self._canvas, _rounded(x, y, squareness), colour)
 
     def line(self, start: tuple[float, float], end: tuple[float, float], colour: Colour) -> None:

@@ -64,9 +64,7 @@ class LiveReader:
         self._length, self._rate = sane_count(capture), sane_fps(capture)
         self.fps = self._rate or FALLBACK_FPS
         self._publish(first)
-        self._thread = threading.Thread(
-            target=self._run, args=(capture,), name=f"frames of {name}", daemon=True
-        )
+        self._thread = threading.Thread(target=self._run, args=(capture,), name=f"frames of {name}", daemon=True)
         self._thread.start()
 
     def frames(self) -> Iterator[Image]:
@@ -139,9 +137,7 @@ class LiveReader:
         if self._length is None:
             return False
         if ended_early(self._read, 0.0, self._length, self._rate):
-            raise UserError(
-                f"{self._name} broke off: {self._read} of {self._length} frames came; check the connection"
-            )
+            raise UserError(f"{self._name} broke off: {self._read} of {self._length} frames came; check the connection")
         return True
 
     def _reconnect(self) -> cv2.VideoCapture | None:

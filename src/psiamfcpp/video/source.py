@@ -183,9 +183,7 @@ def _read_image(path: Path) -> Image:
 
 def _image_files(paths: Iterator[Path]) -> list[Path]:
     # what a system leaves behind beside images ("._1.jpg") bears their suffix too
-    found = [
-        p for p in paths if p.suffix.lower() in IMAGE_SUFFIXES and not p.name.startswith(".") and p.is_file()
-    ]
+    found = [p for p in paths if p.suffix.lower() in IMAGE_SUFFIXES and not p.name.startswith(".") and p.is_file()]
     return sorted(found, key=_natural_order)
 
 

@@ -1,0 +1,74 @@
+"""`psiamfcpp demo`."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import tyro
+
+from psiamfcpp.cli.follow import follow
+from psiamfcpp.cli.output import print_json, progress
+from psiamfcpp.crop import Image
+from psiamfcpp.errors import UserError
+from psiamfcpp.evaluation.metrics import score_sequence
+from psiamfcpp.tracking import Tracker
+from psiamfcpp.video.demo_clip import DemoFrame, render
+from psiamfcpp.zoo import DEFAULT_MODEL
+
+FPS = 30.0
+
+
+def demo(
+    output: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("demo.mp4"),
+    model: str = DEFAULT_MODEL,
+    frames: int = 300,
+    seed: int = 0,
+    engine: str | None = None,
+    threads: int | None = None,
+    json: bool = False,
+) -> None:
+    """Render an aerial clip, follow its target, write the video and print how well it went.
+
+    Args:
+        output: video to write.
+        model: name of a shipped model, or a model file.
+        frames: length of the clip.
+        seed: of land, traffic and camera.
+        engine: what runs the network.
+        threads: threads of the engine; by default all cores.
+        json: print one JSON object.
+    """
+    if frames < 2:
+        raise UserError(f"frames is {frames}: a clip needs at least 2")
+    tracker = Tracker(model, engine, threads)
+    clip: list[DemoFrame] = []
+
+    def images() -> Iterator[Image]:
+        for shot in render(seed, frames):
+            # Labels are kept and images dropped, so that memory does not grow with the clip.
+            clip.append(DemoFrame(shot.image[:0], shot.box, shot.visible))
+            yield shot.image
+
+    shots = images()
+    first = next(render(seed, frames))
+    with progress() as bar:
+        task = bar.add_task("demo", total=frames)
+        result = follow(shots, tracker, first.box, FPS, output, None, lambda: bar.advance(task))
+    if result.ended:
+        raise KeyboardInterrupt
+    truth = np.array([shot.box for shot in clip])
+    visible = np.array([shot.visible for shot in clip])
+    # Where the target is hidden there is nothing to see, so nothing is asked: such frames are left out.
+    found = np.array([t.box for t in result.tracks])
+    figures = score_sequence(truth[visible], found[visible]).figures
+    states = [t.state for t, seen in zip(result.tracks, visible, strict=True) if not seen]
+    hidden = {"hidden_frames": len(states), "hidden_not_tracking": sum(s != "tracking" for s in states)}
+    if json:
+        print_json({"frames": len(clip), "fps": result.fps, **figures, **hidden, "output": str(output)})
+        return
+    print(f"precision {figures['precision']:.3f}, AUC {figures['auc']:.3f} over {int(visible.sum())} visible frames")
+    print(f"hidden for {len(states)} frames, in {hidden['hidden_not_tracking']} of them said to be unsure or lost")
+    print(f"{result.fps:.1f} fps; video in {output}")

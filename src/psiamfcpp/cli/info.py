@@ -1,0 +1,41 @@
+"""`psiamfcpp info`."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Annotated, Any
+
+import tyro
+
+from psiamfcpp.cli.output import print_json
+
+
+def info(model: Annotated[str, tyro.conf.Positional], json: bool = False) -> None:
+    """Describe a model.
+
+    Args:
+        model: name of a shipped model, or a model file.
+        json: print one JSON object.
+    """
+    from psiamfcpp.models import load
+    from psiamfcpp.models.cost import count_parameters, search_macs
+
+    network = load(model)
+    spec = network.spec
+    facts: dict[str, Any] = {
+        "parameters": count_parameters(network),
+        "gmacs": search_macs(spec.widths, spec.search_size) / 1e9,
+        "widths": spec.widths,
+        "search_size": spec.search_size,
+        "constants": dataclasses.asdict(spec.constants),
+        "calibration": dataclasses.asdict(spec.calibration),
+        "provenance": spec.provenance,
+    }
+    if json:
+        print_json(facts)
+        return
+    print(f"parameters   {facts['parameters']:,}")
+    print(f"search       {facts['gmacs']:.2f} GMAC at {spec.search_size} pixels")
+    print("widths       " + ", ".join(f"{name} {width}" for name, width in spec.widths.items()))
+    for title in ("constants", "calibration", "provenance"):
+        print(f"{title:12} " + ", ".join(f"{key} {value}" for key, value in facts[title].items()))

@@ -1,0 +1,112 @@
+"""`psiamfcpp train`."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import tyro
+
+from psiamfcpp import __version__, datasets
+from psiamfcpp.cli.output import notes
+from psiamfcpp.datasets import Sequence
+from psiamfcpp.datasets.split import split
+from psiamfcpp.errors import UserError
+from psiamfcpp.training.options import RunOptions, TrainOptions
+
+if TYPE_CHECKING:
+    from psiamfcpp.models import SiamFCpp
+
+
+def train(
+    data: tuple[str, ...],
+    init: Path,
+    output: Annotated[Path, tyro.conf.arg(aliases=["-o"])],
+    options: TrainOptions = TrainOptions(),  # noqa: B008 - frozen
+    run: RunOptions = RunOptions(),  # noqa: B008 - frozen
+    held_out_every: int = 8,
+    note: str = "",
+) -> None:
+    """Train a network, or continue the run found in the output folder.
+
+    Under torchrun (`torchrun --nproc-per-node 2 -m psiamfcpp train ...`) each process takes its share of every step.
+
+    Args:
+        data: training sets, each LAYOUT:FOLDER; layouts: folder, stills, got10k, coco, lasot, imagenet-vid, trackingnet.
+        init: start: a checkpoint of ours, or torchvision's AlexNet features (.safetensors).
+        output: folder of the run: model.safetensors, state.pt, log.jsonl, curve.png.
+        options: what decides the result.
+        run: how it is carried out.
+        held_out_every: one clip in so many, chosen by name, is kept out of training to validate with; 0 is none.
+        note: a line on the data for the model's provenance.
+    """
+    import torch
+
+    from psiamfcpp.training.curve import draw_curve
+    from psiamfcpp.training.loop import train as run_training
+
+    sequences = [s for entry in data for s in _read(entry)]
+    training, held_out = split(sequences, held_out_every)
+    torch.manual_seed(options.seed)
+    model = _start(init, options.seed)
+    model.spec = dataclasses.replace(
+        model.spec,
+        search_size=options.pairs.search_size,
+        provenance=_provenance(model.spec.provenance, init, data, options, note),
+    )
+    notes.print(f"{len(training)} targets to train on, {len(held_out)} clips held out")
+    try:
+        for row in run_training(model, training, held_out, output, options, run):
+            notes.print(_line(row, options.schedule.steps))
+    finally:
+        if (output / "log.jsonl").exists():
+            draw_curve(output / "log.jsonl", output / "curve.png")
+
+
+def _read(entry: str) -> list[Sequence]:
+    kind, colon, folder = entry.partition(":")
+    if not colon:
+        raise UserError(f"data {entry!r} is not LAYOUT:FOLDER; layouts are {', '.join(datasets.READERS)}")
+    return datasets.read(kind, Path(folder))
+
+
+def _start(init: Path, seed: int) -> SiamFCpp:
+    """The network to begin with, from a checkpoint or from ImageNet features."""
+    from psiamfcpp.models import SiamFCpp, load
+    from psiamfcpp.models.alexnet import init_backbone, is_alexnet
+    from psiamfcpp.models.initial import init_neck_and_head
+
+    if not is_alexnet(init):
+        return load(init)
+    model = SiamFCpp()
+    init_backbone(model, init, seed)
+    init_neck_and_head(model, seed)
+    return model
+
+
+def _provenance(
+    before: dict[str, Any], init: Path, data: tuple[str, ...], options: TrainOptions, note: str
+) -> dict[str, Any]:
+    """What is known of the model's making: the stages before, and this one."""
+    stage = {
+        "init": init.name,
+        "data": [f"{kind}:{Path(folder).name}" for kind, _, folder in (entry.partition(":") for entry in data)],
+        "options": dataclasses.asdict(options),
+        "version": __version__,
+    }
+    if note:
+        stage["note"] = note
+    return {**before, "training": [*before.get("training", []), stage]}
+
+
+def _line(row: dict[str, Any], steps: int) -> str:
+    text = (
+        f"step {row['step']}/{steps}  loss {row['total']:.3f} (cls {row['cls']:.3f}, centre {row['centerness']:.3f}, "
+    )
+    text += f"iou {row['iou']:.3f})  {row['pairs_per_s']:.1f} pairs/s"
+    if "validation" in row:
+        v = row["validation"]
+        text += f"  held-out pairs: {v['within8']:.3f} within 8 px, {v['within16']:.3f} within 16, "
+        text += f"overlap {v['overlap']:.3f}, separation {v['separation']:.3f}"
+    return text

@@ -1,0 +1,45 @@
+"""The training curve as a picture."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+from psiamfcpp.errors import UserError
+
+
+def draw_curve(log: Path, picture: Path) -> None:
+    """Draw the losses and the held-out pair score of a log.
+
+    Args:
+        log: the run's ``log.jsonl``.
+        picture: PNG to write.
+
+    Raises:
+        UserError: the log is missing or damaged.
+    """
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib import pyplot as plt
+
+    try:
+        rows = [json.loads(line) for line in log.read_text().splitlines()]
+    except (OSError, json.JSONDecodeError) as error:
+        raise UserError(f"training log {log} cannot be read: {error}") from None
+    figure, (left, right) = plt.subplots(1, 2, figsize=(11, 4), layout="constrained")
+    for name in ("cls", "centerness", "iou"):
+        left.plot([r["step"] for r in rows], [r[name] for r in rows], label=name)
+    left.set(xlabel="step", ylabel="loss", ylim=(0, None))
+    left.legend()
+    checks = [(r["step"], r["validation"]) for r in rows if "validation" in r]
+    for name in ("within8", "within16", "overlap", "score", "separation"):
+        right.plot([step for step, _ in checks], [v[name] for _, v in checks], label=name)
+    right.set(xlabel="step", ylabel="held-out pairs", ylim=(0, 1))
+    right.legend(loc="lower right")
+    for axes in (left, right):
+        axes.grid(alpha=0.3)
+    temporary = picture.with_name(picture.name + ".part")
+    figure.savefig(temporary, format="png", dpi=100)
+    plt.close(figure)
+    temporary.replace(picture)
