@@ -33,7 +33,7 @@ def train(
     Under torchrun (`torchrun --nproc-per-node 2 -m psiamfcpp train ...`) each process takes its share of every step.
 
     Args:
-        data: training sets, each LAYOUT:FOLDER; layouts: folder, stills, got10k, coco, lasot, imagenet-vid, trackingnet.
+        data: training sets, each LAYOUT:FOLDER (an unknown layout lists the known ones).
         init: start: a checkpoint of ours, or torchvision's AlexNet features (.safetensors).
         output: folder of the run: model.safetensors, state.pt, log.jsonl, curve.png.
         options: what decides the result.

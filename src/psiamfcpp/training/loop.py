@@ -160,7 +160,7 @@ def _optimizer(model: SiamFCpp, options: TrainOptions) -> torch.optim.Optimizer:
             # It multiplies grey levels of 0..255, so its weights, and the steps that suit them, are smaller.
             factor /= 57
         if re.fullmatch(r"head\.(si|bi|(cls_score|centerness|reg_offsets)\.bn\..*)", name):
-            # These few numbers alone set the scale of scores and boxes, which at the others' rate takes thousands of steps.
+            # These few numbers alone set the scale of scores and boxes; at the others' rate that takes too many steps.
             factor *= 10
         groups.setdefault((factor, options.weight_decay if parameter.ndim == 4 else 0.0), []).append(parameter)
     listed = [{"params": p, "factor": factor, "weight_decay": decay} for (factor, decay), p in groups.items()]
