@@ -13,7 +13,7 @@ from psiamfcpp.errors import UserError
 from psiamfcpp.geometry import Box
 
 # Standard output is for results; what is said on the way goes to standard error.
-notes = Console(stderr=True, highlight=False)
+notes = Console(stderr=True, highlight=False, soft_wrap=True)
 
 
 def print_json(result: dict[str, Any]) -> None:

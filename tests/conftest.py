@@ -1,0 +1,134 @@
+"""What several test folders share: a tiny network, research data if it is there, and an engine that sees a blob."""
+
+from __future__ import annotations
+
+import os
+
+# Before torch is imported: the networks here are so small that threads cost more than they give.
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from psiamfcpp.spec import FULL_WIDTHS, STRIDE, ModelSpec, first_cell, score_size
+
+Image = NDArray[np.uint8]
+BACKGROUND = 40
+
+
+@pytest.fixture(scope="session")
+def tiny_model(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A checkpoint of a narrow network with random weights: always the same, and fast."""
+    import torch
+
+    from psiamfcpp.models import SiamFCpp, save
+
+    path = tmp_path_factory.mktemp("model") / "tiny.safetensors"
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(0)
+        model = SiamFCpp(ModelSpec(widths=dict.fromkeys(FULL_WIDTHS, 8)))
+    save(path, model.eval())
+    return path
+
+
+@pytest.fixture(scope="session")
+def shared_data() -> Path:
+    """The folder of research data beside the repository; tests that want it are skipped where it is absent."""
+    given = os.environ.get("PSIAMFCPP_SHARED")
+    path = Path(given) if given else Path(__file__).parents[2] / "shared" / "data"
+    if not path.is_dir():
+        pytest.skip(f"no shared research data at {path} (PSIAMFCPP_SHARED names another folder)")
+    return path
+
+
+class BlobEngine:
+    """An engine that finds a bright rectangle on a dim ground by looking at the pixels; see `Engine`."""
+
+    def __init__(self) -> None:
+        self.spec = ModelSpec()
+        self.peak = 0.95
+        """score where the blob is; with the default calibration it is the confidence too"""
+        self.absent = 0.02
+        """score everywhere else"""
+        self.templates: list[Image] = []
+        self.searches: list[Image] = []
+
+    def template(self, crop: Image) -> int:
+        self.templates.append(crop.copy())
+        return len(self.templates)
+
+    def search(self, crop: Image, kernels: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        assert kernels == len(self.templates), "kernels of an older target"
+        self.searches.append(crop.copy())
+        size = crop.shape[0]
+        cells, first = score_size(size), first_cell(size)
+        line = first + STRIDE * np.arange(cells, dtype=np.float32)
+        x, y = np.meshgrid(line, line)
+        scores = np.full((cells, cells), self.absent, np.float32)
+        boxes = np.stack([x - 31, y - 31, x + 31, y + 31], axis=-1)
+        seen = _measure(crop)
+        if seen is not None:
+            cx, cy, w, h = seen
+            last = first + STRIDE * (cells - 1)
+            if first - STRIDE / 2 <= min(cx, cy) and max(cx, cy) <= last + STRIDE / 2:
+                distance = np.hypot(x - cx, y - cy) / STRIDE
+                shape = np.exp(-(distance**2) / 4)
+                scores = np.maximum(self.absent, self.peak * shape / shape.max()).astype(np.float32)
+                boxes = np.zeros((cells, cells, 4), np.float32)
+                boxes[:] = (cx - (w - 1) / 2, cy - (h - 1) / 2, cx + (w - 1) / 2, cy + (h - 1) / 2)
+        return scores, boxes.astype(np.float32)
+
+
+def _measure(crop: Image) -> tuple[float, float, float, float] | None:
+    """Centre and size of the one bright rectangle, to a fraction of a pixel."""
+    light = np.clip((crop[..., 0].astype(float) - 1.5 * BACKGROUND) / (255 - 1.5 * BACKGROUND), 0, 1)
+    columns, rows = light.sum(axis=0), light.sum(axis=1)
+    if light.sum() < 20:
+        return None
+    along = np.arange(len(columns))
+    cx, cy = (along * columns).sum() / columns.sum(), (along * rows).sum() / rows.sum()
+    return cx, cy, columns.sum() / columns.max(), rows.sum() / rows.max()
+
+
+@pytest.fixture
+def blob_engine(monkeypatch: pytest.MonkeyPatch) -> BlobEngine:
+    """Every tracker that is built in this test runs on this engine."""
+    engine = BlobEngine()
+    monkeypatch.setattr("psiamfcpp.tracking.tracker.open_engine", lambda *_: engine)
+    return engine
+
+
+@pytest.fixture(scope="session")
+def blob_frame() -> Callable[..., Image]:
+    """Draws ``(x, y, w, h)``, whole pixels or not, as a bright rectangle on a dim ground; None draws the ground."""
+
+    def draw(box: tuple[float, float, float, float] | None, width: int = 320, height: int = 240) -> Image:
+        frame = np.full((height, width, 3), float(BACKGROUND))
+        if box is not None:
+            x, y, w, h = box
+            columns = np.clip(np.minimum(np.arange(width) + 1, x + w) - np.maximum(np.arange(width), x), 0, 1)
+            rows = np.clip(np.minimum(np.arange(height) + 1, y + h) - np.maximum(np.arange(height), y), 0, 1)
+            frame += (255 - BACKGROUND) * np.outer(rows, columns)[..., None]
+        return frame.round().astype(np.uint8)
+
+    return draw
+
+
+@pytest.fixture
+def blob_sequence(tmp_path: Path, blob_frame: Callable[..., Image]) -> Callable[..., Path]:
+    """Writes ``<root>/<name>/{img/*.png, groundtruth_rect.txt}`` with a blob in the given boxes; returns the root."""
+
+    def write(name: str, boxes: list[tuple[float, float, float, float]]) -> Path:
+        root = tmp_path / "sequences"
+        (root / name / "img").mkdir(parents=True)
+        for number, box in enumerate(boxes, start=1):
+            cv2.imwrite(str(root / name / "img" / f"{number:04}.png"), blob_frame(box))
+        (root / name / "groundtruth_rect.txt").write_text("".join(",".join(map(str, box)) + "\n" for box in boxes))
+        return root
+
+    return write
