@@ -19,6 +19,8 @@ from psiamfcpp.errors import UserError
 FORMAT = "psiamfcpp-model/1"
 TEMPLATE_SIZE = 127
 STRIDE = 8
+# What JSON may hold for a field, by its annotation.
+_NUMBERS: dict[Any, Any] = {"int": int, "float": (int, float)}
 
 # The 13 prunable groups with the widths of SiamFC++ (AlexNet). Neck groups tie the template and the search layer,
 # since the depth-wise correlation multiplies them channel by channel.
@@ -147,12 +149,15 @@ def _build(cls: type[Any], data: Any) -> Any:
     """A dataclass from a JSON object; an unknown key is an error that names the nearest known one."""
     if not isinstance(data, dict):
         raise UserError(f"{cls.__name__} in the model description is not an object: the file is damaged")
-    known = [f.name for f in dataclasses.fields(cls)]
-    for key in data:
+    known = {f.name: _NUMBERS.get(f.type) for f in dataclasses.fields(cls)}
+    for key, value in data.items():
         if key not in known:
             near = difflib.get_close_matches(key, known, n=1)
             hint = f": did you mean {near[0]!r}?" if near else f"; known are {', '.join(known)}"
             raise UserError(f"unknown key {key!r} in {cls.__name__}{hint}")
+        kind = known[key]
+        if kind and not (isinstance(value, kind) and math.isfinite(value)):
+            raise UserError(f"{key} in {cls.__name__} is {value!r}, which is no such number: the file is damaged")
     try:
         return cls(**data)
     except TypeError as error:

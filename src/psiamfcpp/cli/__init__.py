@@ -42,11 +42,12 @@ def main(args: list[str] | None = None) -> int:
     try:
         if not args or args[0] in ("-h", "--help"):
             print(_overview())
-            return 0
-        if args[0] == "--version":
+        elif args[0] == "--version":
             print(f"psiamfcpp {__version__}")
-            return 0
-        _run(args[0], args[1:])
+        else:
+            _run(args[0], args[1:])
+        # Now, not at exit, where a reader that has left could no longer be told from a fault.
+        sys.stdout.flush()
         return 0
     except UserError as error:
         print(f"psiamfcpp: {' '.join(str(error).split())}", file=sys.stderr)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from itertools import chain
 from pathlib import Path
 from typing import Annotated
 
@@ -44,19 +45,19 @@ def demo(
     if frames < 2:
         raise UserError(f"frames is {frames}: a clip needs at least 2")
     tracker = Tracker(model, engine, threads)
+    shots = render(seed, frames)
+    first = next(shots)
     clip: list[DemoFrame] = []
 
     def images() -> Iterator[Image]:
-        for shot in render(seed, frames):
+        for shot in chain([first], shots):
             # Labels are kept and images dropped, so that memory does not grow with the clip.
             clip.append(DemoFrame(shot.image[:0], shot.box, shot.visible))
             yield shot.image
 
-    shots = images()
-    first = next(render(seed, frames))
     with progress() as bar:
         task = bar.add_task("demo", total=frames)
-        result = follow(shots, tracker, first.box, FPS, output, None, lambda: bar.advance(task))
+        result = follow(images(), tracker, first.box, FPS, output, None, lambda: bar.advance(task))
     if result.ended:
         raise KeyboardInterrupt
     truth = np.array([shot.box for shot in clip])

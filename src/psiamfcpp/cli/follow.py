@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -36,7 +36,7 @@ class Followed:
 
 
 def follow(
-    frames: Iterable[Image],
+    frames: Iterator[Image],
     tracker: Tracker,
     box: Box,
     fps: float,
@@ -62,21 +62,29 @@ def follow(
     """
     result = Followed()
     with contextlib.ExitStack() as files:
-        box_file = files.enter_context(BoxWriter(boxes)) if boxes else None
         video: VideoWriter | None = None
-        frame_source = iter(frames)
-        while (frame := _next(frame_source, result)) is not None:
-            start = time.perf_counter()
-            track = tracker.update(frame) if result.tracks else tracker.init(frame, box)
-            result.seconds.append(time.perf_counter() - start)
-            result.tracks.append(track)
-            if box_file:
-                box_file.write(track.box)
-            if output:
-                if video is None:
-                    video = files.enter_context(VideoWriter(output, fps, (frame.shape[1], frame.shape[0])))
-                video.write(annotate(frame, track, result.fps))
-            advance()
+        box_file: BoxWriter | None = None
+        try:
+            while (frame := _next(frames, result)) is not None:
+                start = time.perf_counter()
+                track = tracker.update(frame) if result.tracks else tracker.init(frame, box)
+                result.seconds.append(time.perf_counter() - start)
+                if not result.tracks:
+                    # Not before a box was accepted: a wrong one must not cost the files of an earlier run.
+                    if output:
+                        video = files.enter_context(VideoWriter(output, fps, (frame.shape[1], frame.shape[0])))
+                    if boxes:
+                        box_file = files.enter_context(BoxWriter(boxes))
+                result.tracks.append(track)
+                if box_file:
+                    box_file.write(track.box)
+                if video:
+                    video.write(annotate(frame, track, result.fps))
+                advance()
+        except KeyboardInterrupt:
+            if not result.tracks:
+                raise
+            result.ended = "interrupted"
     return result
 
 
@@ -86,12 +94,12 @@ def annotate(frame: Image, track: Track, fps: float) -> Image:
     return draw_status(draw(frame, track.box, label, STATE_COLOURS[track.state]), [f"{fps:.0f} fps"])
 
 
-def _next(frames: Iterable[Image], result: Followed) -> Image | None:
+def _next(frames: Iterator[Image], result: Followed) -> Image | None:
     """The next frame, or None at the end; once something was followed, a break is an end with its reason."""
     try:
-        return next(iter(frames), None)
-    except (UserError, KeyboardInterrupt) as error:
+        return next(frames, None)
+    except UserError as error:
         if not result.tracks:
             raise
-        result.ended = str(error) or "interrupted"
+        result.ended = str(error)
         return None

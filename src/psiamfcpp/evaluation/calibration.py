@@ -65,7 +65,7 @@ def gather(tracker: Tracker, sequences: list[Sequence], seed: int = 0) -> Looks:
     of another clip.
 
     Raises:
-        UserError: there are fewer than two clips.
+        UserError: there are fewer than two clips, or none with two labelled frames.
     """
     if len(sequences) < 2:
         raise UserError(f"calibration needs at least two clips, {len(sequences)} given")
@@ -88,6 +88,8 @@ def gather(tracker: Tracker, sequences: list[Sequence], seed: int = 0) -> Looks:
             for scene, around in _without(image, box, read_image(other.frames[int(rng.integers(len(other)))]), rng):
                 found, apart = tracker.look(scene, around)
                 rows.append((found.score, apart, False, True, number))
+    if not rows:
+        raise UserError(f"calibration needs clips with labels; none of {len(sequences)} has two labelled frames")
     peak, contrast, hits, absent, clip = (np.array(column) for column in zip(*rows, strict=True))
     return Looks(peak, contrast, hits, absent, clip)
 
@@ -109,13 +111,15 @@ def fit(looks: Looks) -> Calibration:
     bias, score_weight, contrast_weight = _logistic(features, labels, weights)
     calibration = Calibration(bias, score_weight, contrast_weight)
     values = confidences(looks, calibration)
+    lost_below = float(np.quantile(values[looks.found], DOUBT_SHARE))
     return Calibration(
         bias,
         score_weight,
         contrast_weight,
         unsure_below=float(np.quantile(values[looks.found], UNSURE_SHARE)),
-        lost_below=float(np.quantile(values[looks.found], DOUBT_SHARE)),
-        regain_above=float(np.quantile(values[looks.absent], 1 - FALSE_REGAIN_SHARE)),
+        lost_below=lost_below,
+        # Where both kinds lie far apart, what would be doubted at once must still not be taken up again.
+        regain_above=max(lost_below, float(np.quantile(values[looks.absent], 1 - FALSE_REGAIN_SHARE))),
     )
 
 

@@ -73,7 +73,7 @@ def score_sequence(truth: ArrayLike, result: ArrayLike, convention: Convention =
     for row in range(1, len(boxes)):
         if not np.isfinite(boxes[row]).all() or boxes[row, 2] <= 0 or boxes[row, 3] <= 0:
             boxes[row] = boxes[row - 1]
-    with np.errstate(invalid="ignore"):
+    with np.errstate(divide="ignore", invalid="ignore"):
         valid = (truth > 0).all(axis=1) if convention == "otb" else ~np.isnan(truth).any(axis=1)
         offset = centre(boxes) - centre(truth)
         error = np.linalg.norm(offset, axis=1)

@@ -41,7 +41,7 @@ def init_backbone(model: SiamFCpp, path: Path, seed: int = 0) -> None:
     conv1 takes BGR 0..255 (channel order, scale, mean and deviation are folded into its weights) and keeps its 11x11
     kernel at stride 2. Widened channels are noisy copies of existing ones (Net2Net, Chen et al. 2016): what reads
     them shares its weight, unevenly, between original and copy, so that the function stays nearly the same while
-    the two get different gradients. BatchNorm starts as the identity; `calibrate_batchnorm` gives it statistics.
+    the two get different gradients. BatchNorm starts as the identity.
 
     Args:
         model: network with backbone widths at least AlexNet's.
@@ -49,24 +49,27 @@ def init_backbone(model: SiamFCpp, path: Path, seed: int = 0) -> None:
         seed: of the copies' noise.
 
     Raises:
-        UserError: the file is damaged, lacks a tensor, or is wider than the network.
+        UserError: the file is damaged, lacks a tensor, has one of another shape, or is wider than the network.
     """
     try:
         weights = load_file(str(path))
     except (SafetensorError, OSError) as error:
         raise UserError(f"AlexNet weights {path} cannot be read: {error}") from None
     generator = torch.Generator().manual_seed(seed)
-    sources, shares = torch.arange(3), torch.ones(3)
+    inputs, sources, shares = 3, torch.arange(3), torch.ones(3)
     for name, (index, published) in _LAYERS.items():
         block = getattr(model.backbone, name)
         try:
             weight, bias = weights[f"features.{index}.weight"], weights[f"features.{index}.bias"]
         except KeyError as error:
             raise UserError(f"AlexNet weights {path} lack {error}: expected torchvision's features") from None
-        if len(weight) != published or len(weight) > block.conv.out_channels:
+        expected = (published, inputs, *block.conv.kernel_size)
+        if weight.shape != expected or bias.shape != expected[:1] or published > block.conv.out_channels:
             raise UserError(
-                f"{name} of {path} has {len(weight)} filters: expected {published}, at most {block.conv.out_channels}"
+                f"{name} of {path} is {tuple(weight.shape)} with {bias.numel()} biases: expected {expected}, "
+                f"of at most {block.conv.out_channels} filters"
             )
+        inputs = published
         if name == "conv1":
             weight, bias = _fold_preprocessing(weight, bias)
         weight = weight[:, sources] * shares[None, :, None, None]

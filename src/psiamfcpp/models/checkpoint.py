@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from pathlib import Path
 
 import torch
@@ -52,21 +53,19 @@ def save(path: Path, model: SiamFCpp, dtype: torch.dtype = torch.float32) -> Non
     Args:
         path: where to, normally ``*.safetensors``.
         model: the network; its ``spec`` goes into the metadata.
-        dtype: floating-point type of the stored tensors.
+        dtype: floating-point type of the stored tensors; one with values beyond its range stays as it is.
 
     Raises:
         UserError: the file cannot be written.
     """
-    tensors = {
-        key: value.detach().cpu().to(dtype if value.is_floating_point() else value.dtype).contiguous()
-        for key, value in model.state_dict().items()
-    }
-    temporary = path.with_name(path.name + ".part")
+    tensors = {key: _as_stored(value.detach().cpu(), dtype).contiguous() for key, value in model.state_dict().items()}
+    temporary = path.parent / (path.name + ".part")
     try:
         save_file(tensors, str(temporary), metadata={"psiamfcpp": model.spec.to_json()})
         temporary.replace(path)
     except (OSError, SafetensorError) as error:
-        temporary.unlink(missing_ok=True)
+        with contextlib.suppress(OSError):
+            temporary.unlink(missing_ok=True)
         raise UserError(f"checkpoint {path} cannot be written: {error}") from None
 
 
@@ -97,3 +96,11 @@ def fit(model: SiamFCpp, weights: dict[str, Tensor], origin: str) -> None:
     if bad:
         raise UserError(f"{origin} holds values that are not finite in {', '.join(bad)}: the file is damaged")
     model.load_state_dict({**own, **{k: v.to(own[k].dtype) for k, v in weights.items()}})
+
+
+def _as_stored(value: Tensor, dtype: torch.dtype) -> Tensor:
+    """The tensor in a type to store, unless its values would overflow: BatchNorm's variances exceed float16's 65504."""
+    if not value.is_floating_point():
+        return value
+    cast = value.to(dtype)
+    return cast if torch.isfinite(cast).all() else value

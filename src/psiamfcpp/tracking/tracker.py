@@ -178,6 +178,7 @@ def spiral(n: int) -> tuple[int, int]:
 
 
 def _check_frame(frame: Image) -> None:
-    if not isinstance(frame, np.ndarray) or frame.ndim != 3 or frame.shape[2] != 3 or frame.dtype != np.uint8:
+    is_array = isinstance(frame, np.ndarray) and frame.dtype == np.uint8 and frame.size > 0
+    if not is_array or frame.ndim != 3 or frame.shape[2] != 3:
         shape = f"{frame.dtype} {frame.shape}" if isinstance(frame, np.ndarray) else type(frame).__name__
         raise UserError(f"frame is {shape}: an array (height, width, 3) of uint8, BGR, is needed")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from pathlib import Path
 
 from psiamfcpp.errors import UserError
@@ -25,21 +26,29 @@ def draw_curve(log: Path, picture: Path) -> None:
 
     try:
         rows = [json.loads(line) for line in log.read_text().splitlines()]
-    except (OSError, json.JSONDecodeError) as error:
+        steps = [r["step"] for r in rows]
+        parts = {name: [r[name] for r in rows] for name in ("cls", "centerness", "iou")}
+        checks = [(r["step"], r["validation"]) for r in rows if "validation" in r]
+        shares = {
+            name: [v[name] for _, v in checks] for name in ("within8", "within16", "overlap", "score", "separation")
+        }
+    except (OSError, ValueError) as error:
         raise UserError(f"training log {log} cannot be read: {error}") from None
+    except (KeyError, TypeError) as error:
+        raise UserError(f"training log {log} is damaged: a row holds no {error}") from None
     figure, (left, right) = plt.subplots(1, 2, figsize=(11, 4), layout="constrained")
-    for name in ("cls", "centerness", "iou"):
-        left.plot([r["step"] for r in rows], [r[name] for r in rows], label=name)
+    for name, values in parts.items():
+        left.plot(steps, values, label=name)
     left.set(xlabel="step", ylabel="loss", ylim=(0, None))
     left.legend()
-    checks = [(r["step"], r["validation"]) for r in rows if "validation" in r]
-    for name in ("within8", "within16", "overlap", "score", "separation"):
-        right.plot([step for step, _ in checks], [v[name] for _, v in checks], label=name)
+    for name, values in shares.items():
+        right.plot([step for step, _ in checks], values, label=name)
     right.set(xlabel="step", ylabel="held-out pairs", ylim=(0, 1))
     right.legend(loc="lower right")
     for axes in (left, right):
         axes.grid(alpha=0.3)
-    temporary = picture.with_name(picture.name + ".part")
+    # Under torchrun every process draws, so each needs a name of its own.
+    temporary = picture.with_name(f"{picture.name}.{os.getpid()}.part")
     figure.savefig(temporary, format="png", dpi=100)
     plt.close(figure)
     temporary.replace(picture)

@@ -79,11 +79,15 @@ def train(
         torch.device("cuda", int(os.environ.get("LOCAL_RANK", 0))) if torch.cuda.is_available() else torch.device("cpu")
     )
     model.to(device).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
-    output.mkdir(parents=True, exist_ok=True)
+    try:
+        output.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise UserError(f"run folder {output} cannot be made: {error}") from None
     optimizer = _optimizer(model, options)
     mean = {k: v.detach().clone() for k, v in model.state_dict().items()}
     start = _resume(output / STATE_FILE, model, mean, optimizer, options)
-    _truncate_log(output / LOG_FILE, start)
+    if rank == 0:
+        _truncate_log(output / LOG_FILE, start)
 
     sampler = PairSampler(training, options.pairs, options.seed, int(run.cache_gb * 1e9))
     validation = (
@@ -218,11 +222,12 @@ def _save(
         "mean": mean,
         "optimizer": optimizer.state_dict(),
     }
+    # The model first: a run killed between the two does these steps again, instead of ending with an old model.
+    with _weights(model, mean):
+        save(output / MODEL_FILE, model)
     temporary = output / (STATE_FILE + ".part")
     torch.save(state, temporary)
     temporary.replace(output / STATE_FILE)
-    with _weights(model, mean):
-        save(output / MODEL_FILE, model)
 
 
 def _resume(
@@ -235,9 +240,15 @@ def _resume(
     """Take up the saved state, if any; the step to go on from."""
     if not path.exists():
         return 0
-    state = torch.load(path, map_location="cpu", weights_only=True)
+    try:
+        state = torch.load(path, map_location="cpu", weights_only=True)
+    except Exception as error:  # a damaged pickle can fail in any way
+        reason = (str(error) or type(error).__name__).splitlines()[0]
+        raise UserError(f"{path} cannot be read ({reason}): remove it to begin the run anew") from None
     if json.loads(state["options"]) != json.loads(json.dumps(dataclasses.asdict(options))):
         raise UserError(f"{path} belongs to a run with other options: use another output folder, or remove it")
+    if {k: v.shape for k, v in state["model"].items()} != {k: v.shape for k, v in model.state_dict().items()}:
+        raise UserError(f"{path} belongs to a network of other widths: use another output folder, or remove it")
     model.load_state_dict(state["model"])
     for key, value in state["mean"].items():
         mean[key].copy_(value)
@@ -258,5 +269,5 @@ def _truncate_log(path: Path, step: int) -> None:
 def _step_of(line: str) -> float:
     try:
         return float(json.loads(line)["step"])
-    except (json.JSONDecodeError, KeyError):
+    except (ValueError, KeyError, TypeError):
         return float("inf")

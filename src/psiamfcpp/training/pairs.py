@@ -177,8 +177,8 @@ class _Kind:
         self._chances = weights / weights.sum()
 
     def draw(self, rng: Generator, source: str | None = None) -> _Target:
-        """An object of a picture of a source; of the given source, if any."""
-        name = source if source is not None else self._names[int(rng.choice(len(self._names), p=self._chances))]
+        """An object of a picture of a source; of the given source, if there is a picture filed under it."""
+        name = source if source in self._names else self._names[int(rng.choice(len(self._names), p=self._chances))]
         pictures = self._sources[name]
         picture = pictures[int(rng.integers(len(pictures)))]
         return picture[int(rng.integers(len(picture)))]

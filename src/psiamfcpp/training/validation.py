@@ -44,30 +44,35 @@ def held_out_batches(sequences: list[Sequence], options: PairOptions, count: int
 @torch.no_grad()
 def pair_score(model: SiamFCpp, batches: Iterable[Batch], bf16: bool = False) -> PairScore:
     """The pair score of a network, put into evaluation mode for it and back."""
-    training = model.training
+    # Mode by mode: while training, the backbone is in evaluation mode and the rest is not.
+    modes = {module: module.training for module in model.modules()}
     model.eval()
+    device = next(model.parameters()).device
     errors, overlaps, true_scores, false_scores = [], [], [], []
     for batch in batches:
-        with torch.autocast("cpu", torch.bfloat16, enabled=bf16):
-            scores, boxes = model.search(batch.search_input(), model.template(batch.template_input()))
+        with torch.autocast(device.type, torch.bfloat16, enabled=bf16):
+            moved = batch.to(device)
+            scores, boxes = model.search(moved.search_input(), model.template(moved.template_input()))
+        scores, boxes = scores.cpu(), boxes.cpu()
         best = scores.flatten(1).argmax(dim=1)
         rows = torch.arange(len(best))
         found, top = boxes.flatten(1, 2)[rows, best], scores.flatten(1)[rows, best]
         middle = (found[:, :2] + found[:, 2:] - batch.corners[:, :2] - batch.corners[:, 2:]) / 2
-        there = batch.present & _reachable(batch.corners, batch.search.shape[1])
-        errors.append(middle.norm(dim=1)[there])
-        overlaps.append(_overlap(found[there], batch.corners[there]))
-        true_scores.append(top[there])
-        false_scores.append(top[~there])
-    model.train(training)
+        true = batch.present & _reachable(batch.corners, batch.search.shape[1])
+        errors.append(middle.norm(dim=1)[true])
+        overlaps.append(_overlap(found[true], batch.corners[true]))
+        true_scores.append(top[true])
+        false_scores.append(top[~true])
+    for module, training in modes.items():
+        module.training = training
     error, overlaps_ = torch.cat(errors).numpy(), torch.cat(overlaps).numpy()
-    true, false = torch.cat(true_scores).numpy(), torch.cat(false_scores).numpy()
+    high, low = torch.cat(true_scores).numpy(), torch.cat(false_scores).numpy()
     return PairScore(
         within8=float(np.mean(error <= 8)),
         within16=float(np.mean(error <= 16)),
         overlap=float(overlaps_.mean()),
-        score=float(true.mean()),
-        separation=float((true[:, None] > false[None]).mean()) if len(false) else float("nan"),
+        score=float(high.mean()),
+        separation=float((high[:, None] > low[None]).mean()) if len(low) else float("nan"),
     )
 
 

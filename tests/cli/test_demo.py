@@ -1,0 +1,77 @@
+"""`psiamfcpp demo`, on clips of a few frames."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from .conftest import Run, count_frames
+
+
+def test_demo_writes_a_video_and_says_how_well_it_went(run: Run, tmp_path: Path, tiny_model: Path) -> None:
+    output = tmp_path / "demo.mp4"
+    ended = run("demo", "--model", tiny_model, "--frames", 4, "--output", output, "--json")
+    assert (ended.code, ended.err) == (0, "")
+    result = json.loads(ended.out)
+    assert result.keys() == {
+        *("frames", "fps", "precision", "normalized_precision", "auc", "success50"),
+        *("hidden_frames", "hidden_not_tracking", "output"),
+    }
+    assert (result["frames"], result["output"]) == (4, str(output))
+    assert 0 <= result["auc"] <= 20 / 21
+    assert result["fps"] > 0
+    assert count_frames(output) == 4
+    assert [p.name for p in tmp_path.iterdir()] == ["demo.mp4"]
+
+
+def test_demo_writes_to_the_working_folder_by_default(
+    run: Run, tmp_path: Path, tiny_model: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    ended = run("demo", "--model", tiny_model, "--frames", 2)
+    assert ended.code == 0
+    assert "precision" in ended.out
+    assert "video in demo.mp4" in ended.out
+    assert count_frames(tmp_path / "demo.mp4") == 2
+
+
+@pytest.mark.parametrize(
+    ("args", "message"),
+    [
+        (["--frames", "1"], "frames is 1: a clip needs at least 2"),
+        (["--frames", "-5"], "frames is -5"),
+        (["--seed", "-1"], "seed -1"),
+        (["--threads", "0"], "threads is 0"),
+        (["--engine", "steam"], "unknown engine 'steam'"),
+        (["--output", "demo.gif"], "demo.gif has an unknown format"),
+        (["--output", "missing/demo.mp4"], "missing/demo.mp4 cannot be written"),
+    ],
+)
+def test_demo_refuses(
+    run: Run, tmp_path: Path, tiny_model: Path, args: list[str], message: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert message in run("demo", "--model", tiny_model, *args).refused()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_demo_interrupted_leaves_a_valid_video(
+    run: Run, tmp_path: Path, tiny_model: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from psiamfcpp.tracking import Tracker
+
+    update = Tracker.update
+    calls = iter(range(100))
+
+    def until(self: Tracker, frame: object) -> object:
+        if next(calls) == 2:
+            raise KeyboardInterrupt
+        return update(self, frame)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(Tracker, "update", until)
+    ended = run("demo", "--model", tiny_model, "--frames", 6, "--output", tmp_path / "demo.mp4", "--json")
+    assert (ended.code, ended.out, ended.complaint()) == (130, "", "interrupted")
+    assert count_frames(tmp_path / "demo.mp4") == 3
+    assert [p.name for p in tmp_path.iterdir()] == ["demo.mp4"]

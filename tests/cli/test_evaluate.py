@@ -1,0 +1,125 @@
+"""`psiamfcpp evaluate`, `calibrate` and the mistakes of `train`."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from psiamfcpp.models import load
+
+from .conftest import FRAMES, PATH, Run
+
+Sequences = Callable[..., Path]
+FIGURES = {"precision", "normalized_precision", "auc", "success50"}
+
+
+def test_evaluate_scores_a_folder(run: Run, blob_engine: Any, blob_sequence: Sequences) -> None:
+    blob_sequence("car1", PATH)
+    # From frame 5 on the label is where the blob is not: the rest is missed.
+    root = blob_sequence("car2", PATH)
+    lines = (root / "car2" / "groundtruth_rect.txt").read_text().splitlines()
+    lines[5:] = ["250,180,40,30"] * (FRAMES - 5)
+    (root / "car2" / "groundtruth_rect.txt").write_text("\n".join(lines))
+    ended = run("evaluate", "--root", root, "--tracker", "blob", "--json")
+    assert (ended.code, ended.err) == (0, "")
+    data = json.loads(ended.out)
+    assert data.keys() == {"results"}
+    assert [row["convention"] for row in data["results"]] == ["otb", "got10k"]
+    for row in data["results"]:
+        assert row.keys() == {"tracker", "dataset", "convention", "sequences", "fps", *FIGURES}
+        assert (row["tracker"], row["dataset"]) == ("blob", "folder")
+        assert row["fps"] > 0
+        assert row["sequences"].keys() == {"car1", "car2"}
+        assert all(figures.keys() == FIGURES for figures in row["sequences"].values())
+        assert row["sequences"]["car1"]["precision"] == 1
+        assert row["sequences"]["car2"]["precision"] == 0.5
+        for name in FIGURES:
+            assert row[name] == pytest.approx(sum(s[name] for s in row["sequences"].values()) / 2)
+
+
+def test_evaluate_parts_the_conventions(run: Run, blob_engine: Any, blob_sequence: Sequences) -> None:
+    root = blob_sequence("car1", PATH)
+    truth = root / "car1" / "groundtruth_rect.txt"
+    lines = truth.read_text().splitlines()
+    lines[-1] = "nan,nan,nan,nan"
+    truth.write_text("\n".join(lines))
+    otb, got10k = json.loads(run("evaluate", "--root", root, "--json").out)["results"]
+    assert otb["precision"] == got10k["precision"] == 1
+    assert otb["success50"] == pytest.approx((FRAMES - 1) / FRAMES)
+    assert got10k["success50"] == 1
+
+
+def test_evaluate_prints_a_table(run: Run, tiny_model: Path, blob_sequence: Sequences) -> None:
+    root = blob_sequence("car1", PATH[:3])
+    ended = run("evaluate", "--root", root, "--tracker", tiny_model, "--search-size", 239, "--plain")
+    assert (ended.code, ended.err) == (0, "")
+    assert [line.split()[0] for line in ended.out.splitlines()][:4] == ["sequence", "car1", "mean,", "mean,"]
+
+
+def test_evaluate_refuses(run: Run, tiny_model: Path, tmp_path: Path, blob_sequence: Sequences) -> None:
+    base = ("evaluate", "--tracker", tiny_model, "--root")
+    assert "does not exist" in run(*base, tmp_path / "none").refused()
+    assert "holds no sequence" in run(*base, tmp_path).refused()
+    root = blob_sequence("car1", PATH[:3])
+    (root / "car1" / "img" / "0002.png").write_bytes(b"")
+    assert "0002.png cannot be decoded" in run(*base, root).refused()
+    (root / "car1" / "img" / "0002.png").unlink()
+    assert "has 2 images but 3 boxes" in run(*base, root).refused()
+    assert "unknown engine" in run(*base, root, "--engine", "steam").refused()
+
+
+# calibrate
+
+
+def test_calibrate_stores_limits_in_a_copy(
+    run: Run, blob_engine: Any, tiny_model: Path, tmp_path: Path, blob_sequence: Sequences
+) -> None:
+    blob_sequence("car1", PATH)
+    root = blob_sequence("car2", [(x + 60, y + 40, 30, 36) for x, y, _, _ in PATH])
+    before, output = tiny_model.read_bytes(), tmp_path / "calibrated.safetensors"
+    command = ("calibrate", tiny_model, "--data", root, "--held-out-every", 1, "-o", output)
+    ended = run(*command, "--json")
+    assert (ended.code, ended.err.splitlines()) == (0, ["looking at 2 clips"])
+    result = json.loads(ended.out)
+    assert result.keys() == {"calibration", "rates"}
+    assert (result["rates"]["clips"], result["rates"]["found_frames"]) == (2, 2 * (FRAMES - 1))
+    described = json.loads(run("info", output, "--json").out)
+    assert described["calibration"] == result["calibration"] != json.loads(run("info", tiny_model, "--json").out)
+    assert described["provenance"]["calibration"] == result["rates"]
+    assert tiny_model.read_bytes() == before
+    # in half precision the weights take half the room, and the file still loads
+    assert "2 clips" in run(*command, "--half").out
+    assert output.stat().st_size < 0.75 * len(before)
+    assert load(output).spec.widths == load(tiny_model).spec.widths
+
+
+def test_calibrate_refuses(run: Run, tiny_model: Path, tmp_path: Path, blob_sequence: Sequences) -> None:
+    output = tmp_path / "calibrated.safetensors"
+    root = blob_sequence("car1", PATH[:2])
+    base = ("calibrate", tiny_model, "-o", output, "--held-out-every", 1, "--data")
+    assert "holds 1 clips" in run(*base, root).refused()
+    assert "does not exist" in run(*base, tmp_path / "none").refused()
+    assert not output.exists()
+
+
+# train
+
+
+@pytest.mark.parametrize(
+    ("data", "message"),
+    [
+        ("photos", "data 'photos' is not LAYOUT:FOLDER; layouts are folder, stills"),
+        ("photo:here", "unknown dataset layout 'photo'"),
+        ("folder:nowhere", "dataset folder nowhere does not exist"),
+    ],
+)
+def test_train_refuses(
+    run: Run, tiny_model: Path, tmp_path: Path, data: str, message: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert message in run("train", "--data", data, "--init", tiny_model, "-o", "out").refused()
+    assert list(tmp_path.iterdir()) == []

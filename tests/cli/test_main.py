@@ -1,0 +1,119 @@
+"""What holds for every command: help, versions, and one line for every mistake."""
+
+from __future__ import annotations
+
+import importlib
+import inspect
+import os
+import re
+import subprocess
+import sys
+
+import pytest
+
+import psiamfcpp
+from psiamfcpp.cli import COMMANDS
+
+from .conftest import Run
+
+REQUIRED = {
+    "track": "--box",
+    "info": "STR",
+    "evaluate": "--root",
+    "train": "--data",
+    "calibrate": "--data",
+    "import": "PATH",
+}
+
+
+@pytest.mark.parametrize("args", [[], ["-h"], ["--help"]])
+def test_the_overview_lists_every_command(run: Run, args: list[str]) -> None:
+    ended = run(*args)
+    assert (ended.code, ended.err) == (0, "")
+    for name, what in COMMANDS.items():
+        assert re.search(rf"^  {name} +{re.escape(what)}$", ended.out, re.MULTILINE)
+
+
+def test_version(run: Run) -> None:
+    ended = run("--version")
+    assert (ended.code, ended.out) == (0, f"psiamfcpp {psiamfcpp.__version__}\n")
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_every_command_has_help_that_names_its_options(run: Run, command: str) -> None:
+    for flag in ("--help", "-h"):
+        ended = run(command, flag)
+        assert (ended.code, ended.err) == (0, "")
+        assert ended.out.startswith(f"usage: psiamfcpp {command} ")
+        assert REQUIRED.get(command, "--frames") in ended.out
+    module = importlib.import_module(f"psiamfcpp.cli.{command.replace('import', 'import_')}")
+    function = getattr(module, command.replace("import", "import_"))
+    # options, run and positionals are shown by their parts or by their type
+    options = inspect.signature(function).parameters.keys() - {"options", "run", "source", "model", "checkpoint"}
+    assert options
+    for option in options:
+        assert re.search(rf"--{option.replace('_', '-')}\b", ended.out), option
+
+
+@pytest.mark.parametrize(
+    ("command", "hint"),
+    [
+        ("trak", "did you mean 'track'?"),
+        ("evalute", "did you mean 'evaluate'?"),
+        ("zzz", "commands are demo, track, info"),
+        ("", "commands are demo"),
+        ("--verbose", "unknown command '--verbose'"),
+    ],
+)
+def test_an_unknown_command_is_answered_with_known_ones(run: Run, command: str, hint: str) -> None:
+    complaint = run(command, "x").refused()
+    assert f"unknown command {command!r}" in complaint
+    assert hint in complaint
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_an_unknown_option_is_named(run: Run, command: str) -> None:
+    rest = {
+        "track": ["x", "--box", "1,2,3,4"],
+        "info": ["x"],
+        "evaluate": ["--root", "x"],
+        "train": ["--data", "x", "--init", "x", "-o", "x"],
+        "calibrate": ["x", "--data", "x", "-o", "x"],
+        "import": ["x", "-o", "x"],
+    }
+    assert (
+        "Unrecognized options: --no-such-option" in run(command, *rest.get(command, []), "--no-such-option").refused()
+    )
+
+
+@pytest.mark.parametrize(("command", "what"), REQUIRED.items())
+def test_what_is_missing_is_named(run: Run, command: str, what: str) -> None:
+    assert what in run(command).refused()
+
+
+@pytest.mark.parametrize(
+    ("args", "part"),
+    [
+        (["track", "a.mp4", "--modle", "x", "--box", "1,2,3,4"], "--model"),
+        (["track", "a.mp4", "--box"], "--box"),
+        (["track", "a.mp4", "--box", "1,2,3,4", "--threads", "many"], "--threads"),
+        (["demo", "--frames", "ten"], "--frames"),
+        (["info", "a", "b"], "b"),
+        (["evaluate", "--root", ".", "--dataset", "nothing"], "nothing"),
+    ],
+)
+def test_a_wrong_value_is_named(run: Run, args: list[str], part: str) -> None:
+    assert part in run(*args).refused()
+
+
+def test_the_module_can_be_started_and_its_reader_may_leave() -> None:
+    """As in `psiamfcpp track --help | head -1`; with Python's own buffer, which is written at the very end."""
+    environment = {k: v for k, v in os.environ.items() if k != "PYTHONUNBUFFERED"}
+    command = [sys.executable, "-m", "psiamfcpp", "--version"]
+    done = subprocess.run(command, capture_output=True, text=True, env=environment, check=True)
+    assert done.stdout.startswith("psiamfcpp ")
+    reading, writing = os.pipe()
+    os.close(reading)
+    with os.fdopen(writing, "w") as closed:
+        done = subprocess.run(command, stdout=closed, stderr=subprocess.PIPE, text=True, env=environment, check=False)
+    assert (done.returncode, done.stderr) == (0, "")

@@ -1,0 +1,244 @@
+"""`psiamfcpp track`: results, and every way in which it can go wrong."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from psiamfcpp.tracking import Tracker
+from psiamfcpp.video.source import Source
+from psiamfcpp.video.writer import VideoWriter
+
+from .conftest import FRAMES, PATH, Run, count_frames, read_boxes
+
+BOX = "100,80,40,30"
+
+
+@pytest.fixture
+def outputs(tmp_path: Path) -> Path:
+    """An empty folder for what a command writes."""
+    folder = tmp_path / "outputs"
+    folder.mkdir()
+    return folder
+
+
+def names(folder: Path) -> list[str]:
+    return sorted(path.name for path in folder.iterdir())
+
+
+def test_track_follows_and_writes(run: Run, blob_engine: Any, clip: Path, outputs: Path) -> None:
+    files = ("--output", outputs / "o.mp4", "--boxes", outputs / "b.txt")
+    ended = run("track", clip, "--box", BOX, *files, "--json")
+    assert (ended.code, ended.err) == (0, "")
+    result = json.loads(ended.out)
+    assert result.keys() == {"frames", "fps", "boxes", "scores", "states"}
+    assert (result["frames"], result["states"]) == (FRAMES, ["tracking"] * FRAMES)
+    assert result["fps"] > 0
+    assert np.array(result["boxes"]) == pytest.approx(np.array(PATH), abs=2)
+    assert result["scores"][0] == 1
+    assert read_boxes(outputs / "b.txt") == pytest.approx(np.array(result["boxes"]), abs=0.006)
+    assert count_frames(outputs / "o.mp4") == FRAMES
+    assert names(outputs) == ["b.txt", "o.mp4"]
+
+
+@pytest.mark.parametrize(
+    "options", [[], ["--plain"], ["--search-size", "239"], ["--threads", "1", "--engine", "torch"]]
+)
+def test_track_runs_a_network(run: Run, tiny_model: Path, pictures: Path, outputs: Path, options: list[str]) -> None:
+    ended = run("track", pictures, "--box", BOX, "--model", tiny_model, "--boxes", outputs / "b.txt", *options)
+    assert (ended.code, ended.err) == (0, "")
+    assert ended.out.startswith(f"{FRAMES} frames at ")
+    assert len(read_boxes(outputs / "b.txt")) == FRAMES
+
+
+def test_track_says_in_how_many_frames_the_target_was_what(run: Run, blob_engine: Any, pictures: Path) -> None:
+    blob_engine.peak = 0.4
+    assert run("track", pictures, "--box", BOX).out.strip().endswith("tracking in 1, unsure in 9")
+
+
+@pytest.mark.parametrize("box", ["-5,-5,40,30", " 100 , 80 , 40 , 30 ", "1e2,80.0,40,30"])
+def test_boxes_may_be_written_in_any_way_that_numbers_are(run: Run, blob_engine: Any, clip: Path, box: str) -> None:
+    assert run("track", clip, "--box", box).code == 0
+
+
+@pytest.mark.parametrize(
+    ("box", "message"),
+    [
+        ("900,80,40,30", "lies outside the frame (320x240)"),
+        ("100,80,0,0", "is empty"),
+        ("100,80,-40,30", "is empty"),
+        ("nan,80,40,30", "is not four finite numbers"),
+        ("100,80,inf,30", "is not four finite numbers"),
+        ("100,80,40", "box '100,80,40' is not x,y,w,h"),
+        ("100,80,40,30,2", "is not x,y,w,h"),
+        ("a,b,c,d", "box 'a,b,c,d' is not x,y,w,h"),
+        ("100 80 40 30", "is not x,y,w,h"),
+        ("", "is not x,y,w,h"),
+    ],
+)
+def test_a_wrong_box_is_refused_and_costs_no_file(
+    run: Run, tiny_model: Path, clip: Path, outputs: Path, box: str, message: str
+) -> None:
+    (outputs / "b.txt").write_text("1,2,3,4\n")
+    files = ("--output", outputs / "o.mp4", "--boxes", outputs / "b.txt")
+    assert message in run("track", clip, "--box", box, "--model", tiny_model, *files, "--json").refused()
+    # what an earlier run wrote is still there, and nothing else
+    assert names(outputs) == ["b.txt"]
+    assert (outputs / "b.txt").read_text() == "1,2,3,4\n"
+
+
+def empty(folder: Path) -> Path:
+    path = folder / "empty.mp4"
+    path.touch()
+    return path
+
+
+def text(folder: Path) -> Path:
+    path = folder / "text.mp4"
+    path.write_text("this is no video\n" * 100)
+    return path
+
+
+def nothing(folder: Path) -> Path:
+    (folder / "bare").mkdir()
+    return folder / "bare"
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda _: "missing.mp4", "missing.mp4 does not exist"),
+        (lambda _: "missing/*.jpg", "matches no image"),
+        (lambda _: "99", "camera 99 cannot be opened"),
+        (empty, "empty.mp4 is not a video"),
+        (text, "text.mp4 is not a video"),
+        (nothing, "bare holds no image"),
+    ],
+)
+def test_a_source_without_frames_is_refused(
+    run: Run, tiny_model: Path, tmp_path: Path, outputs: Path, make: Callable[[Path], Any], message: str
+) -> None:
+    files = ("--output", outputs / "o.mp4", "--boxes", outputs / "b.txt")
+    assert message in run("track", make(tmp_path), "--box", BOX, "--model", tiny_model, *files).refused()
+    assert names(outputs) == []
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--output", "missing/o.mp4"], "video missing/o.mp4 cannot be written"),
+        (["--output", "o.gif"], "video o.gif has an unknown format"),
+        (["--boxes", "missing/b.txt"], "boxes missing/b.txt cannot be written"),
+        (["--boxes", "."], "boxes . cannot be written"),
+        (["--output", "o.mp4", "--boxes", "missing/b.txt"], "missing/b.txt cannot be written"),
+        (["--output", "missing/o.mp4", "--boxes", "b.txt"], "missing/o.mp4 cannot be written"),
+        (["--engine", "steam"], "unknown engine 'steam'"),
+        (["--threads", "0"], "threads is 0"),
+        (["--search-size", "300"], "search size 300"),
+        (["--model", "no-such-model"], "model 'no-such-model' is neither a file nor a shipped model"),
+    ],
+)
+def test_a_wrong_option_is_refused_and_leaves_nothing(
+    run: Run,
+    tiny_model: Path,
+    clip: Path,
+    outputs: Path,
+    options: list[str],
+    message: str,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.chdir(outputs)
+    model = [] if "--model" in options else ["--model", tiny_model]
+    assert message in run("track", clip, "--box", BOX, *model, *options, "--json").refused()
+    assert names(outputs) == []
+
+
+def test_a_video_that_is_cut_off_is_followed_as_far_as_it_goes(
+    run: Run, tiny_model: Path, tmp_path: Path, outputs: Path
+) -> None:
+    path = tmp_path / "whole.avi"
+    rng = np.random.default_rng(0)
+    with VideoWriter(path, 20, (96, 64)) as writer:
+        for _ in range(40):
+            writer.write(rng.integers(0, 255, (64, 96, 3), dtype=np.uint8))
+    cut = tmp_path / "cut.avi"
+    cut.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+    files = ("--output", outputs / "o.mp4", "--boxes", outputs / "b.txt")
+    ended = run("track", cut, "--box", "30,20,20,20", "--model", tiny_model, *files, "--json")
+    assert ended.code == 2
+    complaint = ended.complaint()
+    assert "cut.avi is cut off" in complaint
+    result = json.loads(ended.out)
+    count = result["frames"]
+    assert 10 < count < 30
+    assert f"the {count} frames before that were followed" in complaint
+    assert len(result["boxes"]) == len(read_boxes(outputs / "b.txt")) == count_frames(outputs / "o.mp4") == count
+    assert names(outputs) == ["b.txt", "o.mp4"]
+
+
+def test_a_damaged_image_ends_it_with_what_came_before(
+    run: Run, blob_engine: Any, pictures: Path, outputs: Path
+) -> None:
+    (pictures / "6.png").write_bytes((pictures / "6.png").read_bytes()[:40])
+    files = ("--output", outputs / "o.mkv", "--boxes", outputs / "b.txt")
+    ended = run("track", pictures, "--box", BOX, *files)
+    assert ended.code == 2
+    assert ended.out.startswith("6 frames at ")
+    assert "6.png cannot be read" in ended.complaint()
+    assert read_boxes(outputs / "b.txt") == pytest.approx(np.array(PATH[:6]), abs=1.5)
+    assert count_frames(outputs / "o.mkv") == 6
+    assert names(outputs) == ["b.txt", "o.mkv"]
+
+
+def test_a_damaged_first_image_is_refused(run: Run, blob_engine: Any, pictures: Path, outputs: Path) -> None:
+    (pictures / "0.png").write_bytes(b"")
+    files = ("--output", outputs / "o.mkv", "--boxes", outputs / "b.txt")
+    assert "0.png cannot be read" in run("track", pictures, "--box", BOX, *files).refused()
+    assert names(outputs) == []
+
+
+@pytest.mark.parametrize(("owner", "method"), [(Tracker, "update"), (Source, "__next__")])
+def test_an_interruption_keeps_what_was_done(
+    run: Run,
+    blob_engine: Any,
+    clip: Path,
+    outputs: Path,
+    owner: type,
+    method: str,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    original, calls = getattr(owner, method), iter(range(1000))
+    # the sixth frame does not come; the first one costs no update
+    last = 4 if owner is Tracker else 5
+
+    def interrupted(*args: Any) -> Any:
+        if next(calls) == last:
+            raise KeyboardInterrupt
+        return original(*args)
+
+    monkeypatch.setattr(owner, method, interrupted)
+    files = ("--output", outputs / "o.mp4", "--boxes", outputs / "b.txt")
+    ended = run("track", clip, "--box", BOX, *files, "--json")
+    assert (ended.code, ended.complaint()) == (130, "interrupted")
+    assert json.loads(ended.out)["frames"] == 5
+    monkeypatch.undo()
+    assert len(read_boxes(outputs / "b.txt")) == count_frames(outputs / "o.mp4") == 5
+    assert names(outputs) == ["b.txt", "o.mp4"]
+
+
+def test_an_interruption_before_the_first_frame_leaves_nothing(
+    run: Run, blob_engine: Any, clip: Path, outputs: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupted(*_: Any) -> Any:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Tracker, "init", interrupted)
+    files = ("--output", outputs / "o.mp4", "--boxes", outputs / "b.txt")
+    ended = run("track", clip, "--box", BOX, *files, "--json")
+    assert (ended.code, ended.out, ended.complaint()) == (130, "", "interrupted")
+    assert names(outputs) == []

@@ -1,0 +1,291 @@
+"""The tracker, on an engine that sees a blob (tests/conftest.py) and so is never wrong about where it is."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.testing import assert_array_equal
+
+from psiamfcpp import Track, Tracker, UserError
+from psiamfcpp.geometry import Box, centre_error, overlap
+from psiamfcpp.spec import TEMPLATE_SIZE
+from psiamfcpp.tracking.confidence import LOST_AFTER
+from psiamfcpp.tracking.tracker import spiral
+
+Draw = Callable[..., Any]
+START: Box = (100, 80, 40, 30)
+
+
+def begun(draw: Draw, box: Box = START, **options: Any) -> Tracker:
+    tracker = Tracker(**options)
+    assert tracker.init(draw(box), box) == Track(box, 1.0, "tracking")
+    return tracker
+
+
+@pytest.mark.parametrize("plain", [False, True])
+@pytest.mark.parametrize("velocity", [(0, 0), (3, 0), (-2.5, 1.5), (4, 4), (12, -5)])
+def test_a_moving_blob_is_followed(blob_engine: Any, blob_frame: Draw, velocity: Box, plain: bool) -> None:
+    tracker = begun(blob_frame, plain=plain)
+    for t in range(1, 13):
+        x, y = (p + v * t for p, v in zip(START, velocity, strict=False))
+        track = tracker.update(blob_frame((x, y, 40, 30)))
+        assert track.state == "tracking"
+        assert centre_error(track.box, (x, y, 40, 30)) < 1
+        assert overlap(track.box, (x, y, 40, 30)) > 0.93
+
+
+@pytest.mark.parametrize("growth", [1.03, 0.97])
+def test_a_change_of_size_is_followed(blob_engine: Any, blob_frame: Draw, growth: float) -> None:
+    tracker = begun(blob_frame)
+    for t in range(1, 25):
+        w, h = 40 * growth**t, 30 * growth**t
+        truth = (120 - w / 2, 95 - h / 2, w, h)
+        track = tracker.update(blob_frame(truth))
+    assert centre_error(track.box, truth) < 1
+    # half of the difference is made up for in each frame, so the lag is about one frame's growth
+    assert track.box[2:] == pytest.approx((w, h), rel=0.06)
+
+
+def test_a_small_target_is_followed_down_to_ten_pixels_only(blob_engine: Any, blob_frame: Draw) -> None:
+    tracker = begun(blob_frame, (150, 110, 20, 16))
+    for t in range(25):
+        side = 20 * 0.93**t
+        track = tracker.update(blob_frame((160 - side / 2, 118 - side * 0.4, side, side * 0.8)))
+    assert side < 4
+    assert track.box[2:] == (10, 10)
+
+
+def test_a_target_that_begins_smaller_may_stay_so(blob_engine: Any, blob_frame: Draw) -> None:
+    tracker = begun(blob_frame, (150, 110, 8, 6))
+    for _ in range(5):
+        track = tracker.update(blob_frame((150, 110, 8, 6)))
+    assert track.box == pytest.approx((150, 110, 8, 6), abs=1)
+
+
+def test_one_plain_step_is_the_published_one(blob_engine: Any, blob_frame: Draw) -> None:
+    # The context of 63.5 x 63.5 is 127: crop and frame have one scale, and no side has to be rounded.
+    start: Box = (100.0, 80.0, 63.5, 63.5)  # centre 131.25, 111.25
+    tracker = begun(blob_frame, start, plain=True)
+    scores = np.zeros((17, 17), np.float32)
+    scores[7, 10] = 0.8
+    boxes = np.zeros((17, 17, 4), np.float32)
+    boxes[:] = (0, 0, 62.5, 62.5)
+    boxes[7, 10] = (167 - 63, 143 - 63, 167 + 63, 143 + 63)  # 127 x 127 pixels, 16 right of and 8 above the centre
+    blob_engine.search = lambda *_: (scores, boxes)
+    track = tracker.update(blob_frame(start))
+    # Twice the size in the same shape: penalty exp(-k); rate 0.524964 * 0.947302 * 0.8 = 0.397841.
+    side = 63.5 + 63.5 * 0.397841
+    assert track.box == pytest.approx((147.25 - (side - 1) / 2, 103.25 - (side - 1) / 2, side, side), abs=1e-3)
+    assert track.score == pytest.approx(0.8)
+
+
+def test_plain_reports_the_network_and_nothing_else(blob_engine: Any, blob_frame: Draw) -> None:
+    tracker = begun(blob_frame, plain=True)
+    tracks = [tracker.update(blob_frame(None)) for _ in range(3 * LOST_AFTER)]
+    assert {t.state for t in tracks} == {"tracking"}
+    assert [t.score for t in tracks] == pytest.approx([blob_engine.absent] * len(tracks))
+
+
+def test_template_and_search_crops_are_laid_about_the_target(blob_engine: Any, blob_frame: Draw) -> None:
+    tracker = begun(blob_frame)
+    tracker.update(blob_frame(START))
+    tracker.update(blob_frame(START))
+    # context sqrt((40 + 35)(30 + 35)) = 69.82, rounded 70: 40 of 70 pixels become 72.6 of 127
+    (template,), searches = blob_engine.templates, blob_engine.searches
+    assert template.shape == (127, 127, 3)
+    assert (template[63, :, 0] > 147).sum() == pytest.approx(40 / 70 * 127, abs=2)
+    assert [s.shape for s in searches] == [(303, 303, 3)] * 2
+    assert (searches[0][151, :, 0] > 147).sum() == pytest.approx(40 / 70 * 127, abs=2)
+    # outside the frame: the first frame's mean, whatever was drawn there
+    grey = blob_frame(START).mean()
+    begun(blob_frame, (0, 0, 40, 30)).update(blob_frame((0, 0, 40, 30)))
+    assert blob_engine.searches[-1][0, 0] == pytest.approx([grey] * 3, abs=1)
+
+
+# states
+
+
+def test_the_size_waits_while_unsure(blob_engine: Any, blob_frame: Draw) -> None:
+    tracker = begun(blob_frame)
+    blob_engine.peak = 0.4
+    for t in range(1, 6):
+        truth = (100 + 2 * t, 80, 40 + 2 * t, 30 + 2 * t)
+        track = tracker.update(blob_frame(truth))
+        assert track.state == "unsure"
+        assert track.score == pytest.approx(0.4, abs=1e-3)
+        assert centre_error(track.box, truth) < 1
+        assert track.box[2:] == (40, 30)
+    blob_engine.peak = 0.95
+    assert tracker.update(blob_frame(truth)).box[2] > 44
+
+
+def test_a_doubted_find_moves_nothing(blob_engine: Any, blob_frame: Draw) -> None:
+    tracker = begun(blob_frame)
+    blob_engine.peak = 0.1
+    track = tracker.update(blob_frame((130, 90, 40, 30)))
+    assert (track.box, track.state) == (START, "unsure")
+
+
+def test_a_target_that_vanishes_is_lost_and_its_last_box_kept(blob_engine: Any, blob_frame: Draw) -> None:
+    tracker = begun(blob_frame)
+    last = tracker.update(blob_frame((105, 82, 40, 30)))
+    tracks = [tracker.update(blob_frame(None)) for _ in range(LOST_AFTER + 30)]
+    assert [t.state for t in tracks] == ["unsure"] * (LOST_AFTER - 1) + ["lost"] * 31
+    assert {t.box for t in tracks} == {last.box}
+    assert all(t.score < 0.2 for t in tracks)
+
+
+@pytest.mark.parametrize("place", [(100, 80), (170, 80), (20, 150), (110, 5), (200, 140), (0, 0)])
+def test_a_lost_target_is_found_again_within_reach(blob_engine: Any, blob_frame: Draw, place: tuple[int, int]) -> None:
+    tracker = begun(blob_frame)
+    for _ in range(LOST_AFTER + 3):
+        tracker.update(blob_frame(None))
+    truth = (*place, 40, 30)
+    states = []
+    # 80 squares, and the place of the loss between any two of them
+    while not states or (states[-1] == "lost" and len(states) < 160):
+        track = tracker.update(blob_frame(truth))
+        states.append(track.state)
+    assert track.state == "tracking"
+    assert centre_error(track.box, truth) < 1.5
+    # and it goes on from there
+    track = tracker.update(blob_frame((place[0] + 3, place[1] + 2, 40, 30)))
+    assert track.state == "tracking"
+    assert centre_error(track.box, (place[0] + 3, place[1] + 2, 40, 30)) < 1
+
+
+def test_a_weak_find_does_not_take_a_lost_target_up(blob_engine: Any, blob_frame: Draw) -> None:
+    tracker = begun(blob_frame)
+    for _ in range(LOST_AFTER):
+        tracker.update(blob_frame(None))
+    blob_engine.peak = 0.7
+    tracks = [tracker.update(blob_frame((110, 85, 40, 30))) for _ in range(20)]
+    assert {(t.state, t.box) for t in tracks} == {("lost", START)}
+
+
+def test_a_lost_target_is_not_looked_for_outside_the_frame(blob_engine: Any, blob_frame: Draw) -> None:
+    tracker = begun(blob_frame, (0, 0, 40, 30))
+    for _ in range(100):
+        tracker.update(blob_frame(None))
+    fill = round(blob_frame((0, 0, 40, 30)).mean())
+    # most of a region laid about a place outside the frame would be fill: half of each side is the most there is
+    shares = [float((np.abs(s[..., 0].astype(int) - fill) <= 1).mean()) for s in blob_engine.searches]
+    assert max(shares) < 0.8
+    # whereas regions inside were looked at as well
+    assert min(shares) < 0.1
+
+
+def test_spiral_returns_to_the_place_of_the_loss_every_other_frame() -> None:
+    assert {spiral(n) for n in range(1, 400, 2)} == {(0, 0)}
+
+
+@pytest.mark.parametrize("ring", [1, 2, 3, 4])
+def test_spiral_visits_each_square_of_a_ring_once_and_in_line(ring: int) -> None:
+    before = 4 * ring * (ring - 1)  # squares of the rings inside: 0, 8, 24, 48
+    visited = [spiral(2 * (before + k + 1)) for k in range(8 * ring)]
+    whole = {(x, y) for x in range(-ring, ring + 1) for y in range(-ring, ring + 1) if max(abs(x), abs(y)) == ring}
+    assert len(visited) == len(whole) == 8 * ring
+    assert set(visited) == whole
+    assert all(abs(a - c) + abs(b - d) == 1 for (a, b), (c, d) in pairwise(visited))
+
+
+def test_spiral_begins_anew_after_four_rings() -> None:
+    assert [spiral(n) for n in range(1, 161)] == [spiral(n) for n in range(161, 321)]
+
+
+# what users do
+
+
+def test_a_tracker_can_take_up_another_target(blob_engine: Any, blob_frame: Draw) -> None:
+    tracker = begun(blob_frame)
+    for _ in range(LOST_AFTER + 20):
+        assert tracker.update(blob_frame(None)).box == START
+    other = (200, 150, 30, 36)
+    assert tracker.init(blob_frame(other), other).state == "tracking"
+    track = tracker.update(blob_frame((203, 151, 30, 36)))
+    assert track.state == "tracking"
+    assert centre_error(track.box, (203, 151, 30, 36)) < 1
+
+
+def test_a_refused_start_leaves_the_old_target(blob_engine: Any, blob_frame: Draw) -> None:
+    tracker = begun(blob_frame)
+    with pytest.raises(UserError):
+        tracker.init(blob_frame(START), (1000, 1000, 10, 10))
+    assert centre_error(tracker.update(blob_frame((103, 80, 40, 30))).box, (103, 80, 40, 30)) < 1
+
+
+def test_frames_are_only_read(blob_engine: Any, blob_frame: Draw) -> None:
+    frame = blob_frame(START)
+    before = frame.copy()
+    frame.flags.writeable = False
+    tracker = Tracker()
+    tracker.init(frame, START)
+    tracker.update(frame)
+    assert_array_equal(frame, before)
+
+
+def test_frames_may_be_views_and_change_their_size(blob_engine: Any, blob_frame: Draw) -> None:
+    tracker = begun(blob_frame)
+    assert centre_error(tracker.update(blob_frame(START)[:, :, ::-1]).box, START) < 1
+    track = tracker.update(blob_frame((102, 80, 40, 30), width=200, height=130))
+    assert centre_error(track.box, (102, 80, 40, 30)) < 1
+    # a frame that no longer holds the place of the target: the centre comes to its rim
+    x, y, w, h = tracker.update(blob_frame(None, width=64, height=48)).box
+    assert all(math.isfinite(v) for v in (x, y, w, h))
+
+
+def test_an_update_needs_a_target(blob_engine: Any, blob_frame: Draw) -> None:
+    with pytest.raises(UserError, match=r"update\(\) before init\(\)"):
+        Tracker().update(blob_frame(START))
+
+
+@pytest.mark.parametrize(
+    ("frame", "message"),
+    [
+        (np.zeros((240, 320, 3), np.float32), r"frame is float32 \(240, 320, 3\)"),
+        (np.zeros((240, 320), np.uint8), r"frame is uint8 \(240, 320\)"),
+        (np.zeros((240, 320, 4), np.uint8), r"frame is uint8 \(240, 320, 4\)"),
+        (np.zeros((3, 240, 320), np.uint8), r"frame is uint8 \(3, 240, 320\)"),
+        (np.zeros((0, 0, 3), np.uint8), r"frame is uint8 \(0, 0, 3\)"),
+        (None, "frame is NoneType"),
+        ([[0, 0, 0]], "frame is list"),
+    ],
+)
+def test_frames_of_another_kind_are_refused(blob_engine: Any, blob_frame: Draw, frame: Any, message: str) -> None:
+    tracker = begun(blob_frame)
+    for call in (tracker.update, lambda f: tracker.init(f, START)):
+        with pytest.raises(UserError, match=message):
+            call(frame)
+
+
+@pytest.mark.parametrize(
+    "box", [(0, 0, 0, 0), (10, 10, -5, 5), (math.nan, 0, 5, 5), (500, 10, 20, 20), (10, 10, 20), (1e300, 0, 5, 5)]
+)
+def test_boxes_that_cannot_be_tracked_are_refused(blob_engine: Any, blob_frame: Draw, box: Any) -> None:
+    with pytest.raises(UserError, match="box "):
+        Tracker().init(blob_frame(START), box)
+
+
+@pytest.mark.parametrize(
+    "box", [(10, 10, 0.2, 0.2), (-399900, -399900, 8e5, 8e5), (0, 0, 320, 1), (100.5, 80.25, 39.5, 29)]
+)
+def test_odd_boxes_keep_every_number_finite(blob_engine: Any, blob_frame: Draw, box: Box) -> None:
+    tracker = begun(blob_frame, box)
+    for _ in range(3):
+        track = tracker.update(blob_frame(START))
+        assert all(math.isfinite(v) for v in (*track.box, track.score))
+    assert blob_engine.templates[0].shape == (TEMPLATE_SIZE, TEMPLATE_SIZE, 3)
+
+
+def test_the_model_s_own_limits_are_used(tiny_model: Any, blob_frame: Draw) -> None:
+    # a random network knows nothing; but whatever it says, the plain tracker says tracking
+    tracker = begun(blob_frame, model=str(tiny_model), threads=1, search_size=239, plain=True)
+    track = tracker.update(blob_frame(START))
+    assert track.state == "tracking"
+    assert 0 <= track.score <= 1
+    assert tracker.spec.search_size == 239

@@ -1,0 +1,85 @@
+"""Training as users start it: a process that is killed, and two that share the work. These take some seconds each."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+import torch
+
+from psiamfcpp.cli import main
+from psiamfcpp.models import SiamFCpp, load, save
+from psiamfcpp.spec import FULL_WIDTHS, ModelSpec
+
+DEADLINE = 120.0
+
+
+@pytest.fixture(scope="module")
+def init(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("init") / "narrow.safetensors"
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(0)
+        save(path, SiamFCpp(ModelSpec(widths=dict.fromkeys(FULL_WIDTHS, 6))))
+    return path
+
+
+def arguments(clips: Path, init: Path, output: Path, steps: int, *more: str) -> list[str]:
+    given = ["train", "--data", f"folder:{clips}", "--init", str(init), "-o", str(output), "--steps", str(steps)]
+    given += ["--batch", "2", "--search-size", "191", "--workers", "0", "--validation-pairs", "8", "--no-bf16"]
+    return [*given, "--held-out-every", "7", *more]
+
+
+def steps_logged(output: Path) -> list[int]:
+    return [json.loads(line)["step"] for line in (output / "log.jsonl").read_text().splitlines()]
+
+
+def test_a_killed_process_is_continued_to_the_same_end(clip_folder: Path, init: Path, tmp_path: Path):
+    output = tmp_path / "run"
+    command = arguments(clip_folder, init, output, 200, "--save-every", "40")
+    process = subprocess.Popen(
+        [sys.executable, "-m", "psiamfcpp", *command], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+    )
+    try:
+        log, end = output / "log.jsonl", time.monotonic() + DEADLINE
+        while not (log.exists() and log.stat().st_size) and process.poll() is None and time.monotonic() < end:
+            time.sleep(0.002)
+    finally:
+        process.kill()
+        process.wait()
+    assert process.returncode == -signal.SIGKILL, "it was to be killed on its way"
+    assert torch.load(output / "state.pt", weights_only=True)["step"] < 200
+
+    assert main(command) == 0
+    assert steps_logged(output) == [50, 100, 150, 200]
+    assert (output / "curve.png").read_bytes().startswith(b"\x89PNG")
+
+    straight = tmp_path / "straight"
+    assert main(arguments(clip_folder, init, straight, 200)) == 0
+    assert (output / "model.safetensors").read_bytes() == (straight / "model.safetensors").read_bytes()
+
+
+def test_two_processes_share_the_work(clip_folder: Path, init: Path, tmp_path: Path):
+    output = tmp_path / "run"
+    output.mkdir()
+    (output / "log.jsonl").write_text('{"step": 3}\n')  # of a run killed before its first state
+    launch = ["-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2", "-m", "psiamfcpp"]
+    done = subprocess.run(
+        [sys.executable, *launch, *arguments(clip_folder, init, output, 4, "--conv5", "0.5")],
+        capture_output=True,
+        text=True,
+        timeout=DEADLINE,
+        env={**os.environ, "OMP_NUM_THREADS": "1"},
+    )
+    assert done.returncode == 0, done.stderr
+    assert sorted(path.name for path in output.iterdir()) == ["curve.png", "log.jsonl", "model.safetensors", "state.pt"]
+    assert steps_logged(output) == [4]
+    assert done.stderr.count("step 4/4") == 1
+    trained, before = load(output / "model.safetensors"), load(init)
+    assert not torch.equal(trained.backbone.conv5.conv.weight, before.backbone.conv5.conv.weight)
+    assert torch.equal(trained.backbone.conv1.conv.weight, before.backbone.conv1.conv.weight)

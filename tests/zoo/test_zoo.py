@@ -1,0 +1,64 @@
+"""Shipped weights: names, and what every shipped file must be."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from psiamfcpp import UserError, zoo
+from psiamfcpp.models import load
+
+FOLDER = Path(zoo.__file__).parent
+
+
+@pytest.fixture
+def shelf(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A zoo of two models."""
+    folder = tmp_path / "zoo"
+    folder.mkdir()
+    for name in ("big-one.safetensors", "small-one.safetensors", "small-one.md", "notes.txt"):
+        (folder / name).touch()
+    monkeypatch.setattr(zoo, "_FOLDER", folder)
+    return folder
+
+
+def test_names_are_those_of_the_weights(shelf: Path) -> None:
+    assert zoo.names() == ["big-one", "small-one"]
+    assert zoo.weights_path("small-one") == shelf / "small-one.safetensors"
+
+
+def test_a_file_may_lie_anywhere(shelf: Path, tmp_path: Path) -> None:
+    path = tmp_path / "mine.safetensors"
+    path.touch()
+    assert zoo.weights_path(path) == zoo.weights_path(str(path)) == path
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("smal-one", "model 'smal-one' is neither a file nor a shipped model: did you mean 'small-one'"),
+        ("zzz", "shipped models are big-one, small-one"),
+        ("notes", "neither a file"),
+        ("", "neither a file"),
+        (".", "neither a file"),  # a folder is no model
+        ("../zoo/small-one", "neither a file"),
+    ],
+)
+def test_an_unknown_name_is_answered_with_known_ones(shelf: Path, name: str, message: str) -> None:
+    with pytest.raises(UserError, match=message):
+        zoo.weights_path(name)
+
+
+def test_every_shipped_model_loads_is_small_and_has_a_card() -> None:
+    for name in zoo.names():
+        path = zoo.weights_path(name)
+        assert path.stat().st_size <= 20e6, f"{name} is above 20 MB"
+        card = path.with_suffix(".md")
+        assert card.is_file(), f"{name} has no model card"
+        assert card.read_text().strip(), f"the card of {name} is empty"
+        assert load(name).spec.provenance, f"{name} does not say where it comes from"
+
+
+def test_no_card_is_left_without_its_model() -> None:
+    assert {path.stem for path in FOLDER.glob("*.md")} <= set(zoo.names())
