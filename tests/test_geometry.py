@@ -107,8 +107,8 @@ def test_boxes_that_can_be_tracked_come_back_as_they_are(box: Box) -> None:
         ((10, 10, 20), "box 10,10,20 is not four finite numbers"),
         ((10, 10, 20, 20, 1), "is not four finite numbers"),
         ((), "is not four finite numbers"),
-        ((10, 10, 0, 20), "box 10,10,0,20 is empty"),
-        ((10, 10, 20, -1), "is empty"),
+        ((10, 10, 0, 20), "box 10,10,0,20 holds no pixel"),
+        ((10, 10, 20, -1), "holds no pixel"),
         ((100, 10, 20, 20), r"lies outside the frame \(100x80\)"),  # centre 109.5
         ((10, 79, 2, 2), "lies outside the frame"),  # centre 79.5, the last row is 79
         ((99, 10, 2, 2), "lies outside the frame"),  # centre 99.5, the last column is 99

@@ -67,14 +67,14 @@ def check_box(box: ArrayLike, frame_shape: tuple[int, ...]) -> Box:
         The box.
 
     Raises:
-        UserError: not four finite numbers, a side that is not positive, or a centre outside the frame.
+        UserError: not four finite numbers, a side below one pixel, or a centre outside the frame.
     """
     values = np.asarray(box, dtype=np.float64).ravel()
     if values.size != 4 or not np.isfinite(values).all():
         raise UserError(f"box {_text(values)} is not four finite numbers: give x,y,w,h in pixels")
     x, y, w, h = (float(v) for v in values)
-    if w <= 0 or h <= 0:
-        raise UserError(f"box {_text(values)} is empty: width and height must be above 0")
+    if w < 1 or h < 1:
+        raise UserError(f"box {_text(values)} holds no pixel: width and height must be at least 1")
     height, width = frame_shape[:2]
     cx, cy = centre(values)
     if not (0 <= cx <= width - 1 and 0 <= cy <= height - 1):

@@ -70,8 +70,8 @@ def test_boxes_may_be_written_in_any_way_that_numbers_are(run: Run, blob_engine:
     ("box", "message"),
     [
         ("900,80,40,30", "lies outside the frame (320x240)"),
-        ("100,80,0,0", "is empty"),
-        ("100,80,-40,30", "is empty"),
+        ("100,80,0,0", "holds no pixel"),
+        ("100,80,-40,30", "holds no pixel"),
         ("nan,80,40,30", "is not four finite numbers"),
         ("100,80,inf,30", "is not four finite numbers"),
         ("100,80,40", "box '100,80,40' is not x,y,w,h"),

@@ -42,9 +42,7 @@ def test_boxes_of_nan_stay_nan(tmp_path: Path):
     np.testing.assert_equal(folder.read_boxes(path), [[np.nan] * 4, [1.5, 2, 3, 4]])
 
 
-@pytest.mark.parametrize(
-    "text", ["1,2,3\n", "1,2\n3,4\n", "1,2,3,4\n1,2\n", "1,2,3,4,5,6,7,8\n", "1,2,three,4\n"]
-)
+@pytest.mark.parametrize("text", ["1,2,3\n", "1,2\n3,4\n", "1,2,3,4\n1,2\n", "1,2,3,4,5,6,7,8\n", "1,2,three,4\n"])
 def test_boxes_that_are_not_four_numbers_a_line(tmp_path: Path, text: str):
     path = tmp_path / "boxes.txt"
     path.write_text(text)

@@ -48,7 +48,7 @@ def test_short_logs(tmp_path: Path, text: str):
 
 
 def test_separation_may_be_undefined(tmp_path: Path):
-    row = {**ROW, "validation": {**CHECK, "separation": float("nan")}}
+    row = {**ROW, "validation": {**CHECK, "separation": None}}
     (tmp_path / "log.jsonl").write_text(json.dumps(row) + "\n")
     draw_curve(tmp_path / "log.jsonl", tmp_path / "curve.png")
     assert (tmp_path / "curve.png").exists()

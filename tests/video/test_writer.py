@@ -67,9 +67,7 @@ def test_a_video_reads_back(tmp_path: Path, codec: str, suffix: str, size: tuple
     assert len(frames) == 12
     assert frames[0].shape == (height + height % 2, width + width % 2, 3)
     assert np.allclose([f[:, :, 0].mean() for f in frames], np.arange(12) * 20, atol=8)
-    assert np.allclose(frames[-1][:, -1], frames[-1][0, 0], atol=12), (
-        "the added edge is not of another colour"
-    )
+    assert np.allclose(frames[-1][:, -1], frames[-1][0, 0], atol=12), "the added edge is not of another colour"
     assert list(tmp_path.iterdir()) == [path]
 
 
@@ -84,9 +82,7 @@ def test_the_final_name_appears_only_at_the_end(tmp_path: Path, codec: str) -> N
 
 
 @pytest.mark.parametrize("error", [KeyboardInterrupt, UserError, RuntimeError])
-def test_an_interrupted_video_keeps_its_frames(
-    tmp_path: Path, codec: str, error: type[BaseException]
-) -> None:
+def test_an_interrupted_video_keeps_its_frames(tmp_path: Path, codec: str, error: type[BaseException]) -> None:
     path = tmp_path / "a.mp4"
     with pytest.raises(error), VideoWriter(path, 25, (64, 48)) as writer:
         for frame in noise(7):

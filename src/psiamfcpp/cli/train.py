@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -44,6 +45,7 @@ def train(
     import torch
 
     from psiamfcpp.training.curve import draw_curve
+    from psiamfcpp.training.loop import LOG_FILE
     from psiamfcpp.training.loop import train as run_training
 
     sequences = [s for entry in data for s in _read(entry)]
@@ -55,13 +57,18 @@ def train(
         search_size=options.pairs.search_size,
         provenance=_provenance(model.spec.provenance, init, data, options, note),
     )
-    notes.print(f"{len(training)} targets to train on, {len(held_out)} clips held out")
+    first = os.environ.get("RANK", "0") == "0"
+    if first:
+        notes.print(f"{len(training)} targets to train on, {len(held_out)} clips held out")
     try:
         for row in run_training(model, training, held_out, output, options, run):
             notes.print(_line(row, options.schedule.steps))
+    except KeyboardInterrupt:
+        notes.print("interrupted; the same command continues from the last saved state")
+        raise
     finally:
-        if (output / "log.jsonl").exists():
-            draw_curve(output / "log.jsonl", output / "curve.png")
+        if first and (output / LOG_FILE).exists():
+            draw_curve(output / LOG_FILE, output / "curve.png")
 
 
 def _read(entry: str) -> list[Sequence]:
@@ -108,5 +115,6 @@ def _line(row: dict[str, Any], steps: int) -> str:
     if "validation" in row:
         v = row["validation"]
         text += f"  held-out pairs: {v['within8']:.3f} within 8 px, {v['within16']:.3f} within 16, "
-        text += f"overlap {v['overlap']:.3f}, separation {v['separation']:.3f}"
+        text += f"overlap {v['overlap']:.3f}"
+        text += f", separation {v['separation']:.3f}" if v["separation"] is not None else ""
     return text

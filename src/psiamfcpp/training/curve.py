@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 from pathlib import Path
 
 from psiamfcpp.errors import UserError
@@ -47,8 +46,7 @@ def draw_curve(log: Path, picture: Path) -> None:
     right.legend(loc="lower right")
     for axes in (left, right):
         axes.grid(alpha=0.3)
-    # Under torchrun every process draws, so each needs a name of its own.
-    temporary = picture.with_name(f"{picture.name}.{os.getpid()}.part")
+    temporary = picture.with_name(picture.name + ".part")
     figure.savefig(temporary, format="png", dpi=100)
     plt.close(figure)
     temporary.replace(picture)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import dataclasses
 import json
 import os
@@ -74,6 +75,7 @@ def train(
     Raises:
         UserError: the folder holds a run with other options, or cannot be written.
     """
+    _keep_freed_memory()
     rank, ranks = _join_processes()
     device = (
         torch.device("cuda", int(os.environ.get("LOCAL_RANK", 0))) if torch.cuda.is_available() else torch.device("cpu")
@@ -147,10 +149,22 @@ def bf16_pays(device: torch.device) -> bool:
     return flags.exists() and "avx512_bf16" in flags.read_text()
 
 
+def _keep_freed_memory() -> None:
+    """Have glibc keep what is freed: giving every step's large maps back to the kernel, to be zeroed again, is slow."""
+    mmap_threshold, trim_threshold = -3, -1
+    # Elsewhere than on glibc there is nothing to tell.
+    with contextlib.suppress(OSError, AttributeError):
+        libc = ctypes.CDLL("libc.so.6")
+        for parameter in (mmap_threshold, trim_threshold):
+            libc.mallopt(parameter, 2**31 - 1)
+
+
 def _join_processes() -> tuple[int, int]:
     """Rank and number of processes, joined to the others if ``torchrun`` started this one."""
     if "RANK" not in os.environ:
         return 0, 1
+    if torch.cuda.is_available():
+        torch.cuda.set_device(int(os.environ["LOCAL_RANK"]))
     dist.init_process_group("nccl" if torch.cuda.is_available() else "gloo")
     return dist.get_rank(), dist.get_world_size()
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from psiamfcpp.errors import UserError
+from psiamfcpp.spec import score_size
 
 
 @dataclass(frozen=True)
@@ -27,6 +28,14 @@ class PairOptions:
     """share of pairs from clips where there are both clips and photographs"""
     augmentation: float = 1.0
     """strength of colour, blur, grey, rotation and occlusion; 0 is none"""
+
+    def __post_init__(self) -> None:
+        score_size(self.search_size)
+        for name in ("negatives", "clip_share", "augmentation", "shift"):
+            if not 0 <= getattr(self, name) <= 1:
+                raise UserError(f"{name.replace('_', '-')} is {getattr(self, name):g}: it must lie in 0..1")
+        if self.scale < 0 or self.max_gap < 0:
+            raise UserError("scale and max-gap must not be below 0")
 
 
 @dataclass(frozen=True)
@@ -103,6 +112,10 @@ class TrainOptions:
     seed: int = 0
     """seed of pairs and augmentation"""
 
+    def __post_init__(self) -> None:
+        if self.batch < 1 or not 0 <= self.ema < 1 or self.clip <= 0:
+            raise UserError("batch must be at least 1, ema in 0..1 without 1, and clip above 0")
+
 
 @dataclass(frozen=True)
 class RunOptions:
@@ -120,3 +133,13 @@ class RunOptions:
     """steps between saved states"""
     validation_pairs: int = 512
     """held-out pairs a validation"""
+
+    def __post_init__(self) -> None:
+        if (
+            min(self.validate_every, self.save_every, self.validation_pairs) < 1
+            or self.workers < 0
+            or self.cache_gb < 0
+        ):
+            raise UserError(
+                "validate-every, save-every and validation-pairs must be at least 1, workers and cache-gb 0"
+            )

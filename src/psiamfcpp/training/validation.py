@@ -30,8 +30,8 @@ class PairScore:
     """mean overlap with the labelled box"""
     score: float
     """mean highest score where the target is there"""
-    separation: float
-    """share of couples of a true and a negative pair in which the true one scores higher (area under the ROC curve)"""
+    separation: float | None
+    """share of couples of a true and a negative pair in which the true one scores higher; None without negative ones"""
 
 
 def held_out_batches(sequences: list[Sequence], options: PairOptions, count: int, batch: int) -> list[Batch]:
@@ -72,7 +72,7 @@ def pair_score(model: SiamFCpp, batches: Iterable[Batch], bf16: bool = False) ->
         within16=float(np.mean(error <= 16)),
         overlap=float(overlaps_.mean()),
         score=float(high.mean()),
-        separation=float((high[:, None] > low[None]).mean()) if len(low) else float("nan"),
+        separation=float((high[:, None] > low[None]).mean()) if len(low) else None,
     )
 
 
