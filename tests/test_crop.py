@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 
-from psiamfcpp.crop import Image, crop, mean_colour, warp
+from psiamfcpp.crop import crop, mean_colour, warp
+from psiamfcpp.geometry import Image
 
 FILL = (10.0, 20.0, 30.0)
 

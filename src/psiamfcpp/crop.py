@@ -6,7 +6,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-Image = NDArray[np.uint8]
+from psiamfcpp.geometry import Image
+
 Colour = tuple[float, float, float]
 
 

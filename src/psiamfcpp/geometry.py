@@ -16,6 +16,8 @@ from psiamfcpp.errors import UserError
 
 Box = tuple[float, float, float, float]
 FloatArray = NDArray[np.float64]
+Image = NDArray[np.uint8]
+"""``(height, width, 3)``, BGR"""
 
 
 def centre(boxes: ArrayLike) -> FloatArray:

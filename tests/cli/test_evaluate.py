@@ -30,7 +30,7 @@ def test_evaluate_scores_a_folder(run: Run, blob_engine: Any, blob_sequence: Seq
     assert data.keys() == {"results"}
     assert [row["convention"] for row in data["results"]] == ["otb", "got10k"]
     for row in data["results"]:
-        assert row.keys() == {"tracker", "dataset", "convention", "sequences", "fps", *FIGURES}
+        assert row.keys() == {"tracker", "dataset", "convention", "invalid_rows", "sequences", "fps", *FIGURES}
         assert (row["tracker"], row["dataset"]) == ("blob", "folder")
         assert row["fps"] > 0
         assert row["sequences"].keys() == {"car1", "car2"}
@@ -50,6 +50,7 @@ def test_evaluate_parts_the_conventions(run: Run, blob_engine: Any, blob_sequenc
     otb, got10k = json.loads(run("evaluate", "--root", root, "--json").out)["results"]
     assert otb["precision"] == got10k["precision"] == 1
     assert otb["success50"] == pytest.approx((FRAMES - 1) / FRAMES)
+    assert otb["invalid_rows"] == got10k["invalid_rows"] == 1
     assert got10k["success50"] == 1
 
 

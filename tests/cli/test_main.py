@@ -20,6 +20,7 @@ REQUIRED = {
     "track": "--box",
     "info": "STR",
     "evaluate": "--root",
+    "score": "--annotations",
     "train": "--data",
     "calibrate": "--data",
     "import": "PATH",
@@ -45,7 +46,7 @@ def test_every_command_has_help_that_names_its_options(run: Run, command: str) -
         ended = run(command, flag)
         assert (ended.code, ended.err) == (0, "")
         assert ended.out.startswith(f"usage: psiamfcpp {command} ")
-        assert REQUIRED.get(command, "--frames") in ended.out
+        assert REQUIRED.get(command, "--json") in ended.out
     module = importlib.import_module(f"psiamfcpp.cli.{command.replace('import', 'import_')}")
     function = getattr(module, command.replace("import", "import_"))
     # options, run and positionals are shown by their parts or by their type
@@ -77,6 +78,7 @@ def test_an_unknown_option_is_named(run: Run, command: str) -> None:
         "track": ["x", "--box", "1,2,3,4"],
         "info": ["x"],
         "evaluate": ["--root", "x"],
+        "score": ["--dataset", "dtb70", "--annotations", "x", "--results", "x"],
         "train": ["--data", "x", "--init", "x", "-o", "x"],
         "calibrate": ["x", "--data", "x", "-o", "x"],
         "import": ["x", "-o", "x"],
@@ -100,6 +102,7 @@ def test_what_is_missing_is_named(run: Run, command: str, what: str) -> None:
         (["demo", "--frames", "ten"], "--frames"),
         (["info", "a", "b"], "b"),
         (["evaluate", "--root", ".", "--dataset", "nothing"], "nothing"),
+        (["score", "--dataset", "dtb7", "--annotations", ".", "--results", "."], "dtb7"),
     ],
 )
 def test_a_wrong_value_is_named(run: Run, args: list[str], part: str) -> None:

@@ -59,3 +59,16 @@ def test_another_number_of_boxes_than_of_images(lay):
     root = lay({"car/groundtruth_rect.txt": "1,2,3,4\n5,6,7,8\n"}, empty=("car/img/1.jpg",))
     with pytest.raises(UserError, match="car has 1 images but 2 boxes"):
         folder.read(root)
+
+
+def test_one_name_twice_is_refused_where_labels_go_by_name(lay):
+    root = lay({"a/car/groundtruth_rect.txt": "1,2,3,4\n", "b/car/groundtruth_rect.txt": "1,2,3,4\n"})
+    with pytest.raises(UserError, match=r"a/car and .*b/car have one name"):
+        folder.label_files(root)
+
+
+def test_a_file_cut_within_a_line_names_the_line(tmp_path: Path):
+    path = tmp_path / "boxes.txt"
+    path.write_text("1,2,3,4\n5,6,7,8\n9,1")
+    with pytest.raises(UserError, match=r"boxes\.txt cannot be read: line 3 is '9,1'.* was the file cut"):
+        folder.read_boxes(path)

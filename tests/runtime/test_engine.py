@@ -12,7 +12,7 @@ import torch
 from numpy.testing import assert_allclose
 
 from psiamfcpp import UserError, zoo
-from psiamfcpp.crop import Image
+from psiamfcpp.geometry import Image
 from psiamfcpp.models import load
 from psiamfcpp.runtime import ENGINES, open_engine
 

@@ -95,3 +95,19 @@ def test_occlusion_covers_a_fifth_to_a_half_of_one_side(image, seed: int):
 def test_targets_too_small_to_cover_stay(image, corners):
     for seed in range(10):
         assert augment.occlude(image, corners, np.random.default_rng(seed)) is image
+
+
+def test_a_transplanted_target_keeps_its_middle_and_loses_its_surroundings() -> None:
+    image, backdrop = np.full((100, 100, 3), 200, np.uint8), np.full((100, 100, 3), 20, np.uint8)
+    moved = augment.transplant(image, (30, 40, 70, 60), backdrop)
+    assert (moved[50, 50] == 200).all()
+    assert (moved[[10, 50, 90], [50, 95, 10]] == 20).all()
+    # The ellipse reaches a little beyond the sides of the box, and not into its corners.
+    assert moved[50, 31, 0] > 110
+    assert moved[41, 31, 0] < 60
+    assert (image == 200).all()
+
+
+def test_a_target_outside_the_crop_leaves_the_backdrop() -> None:
+    image, backdrop = np.full((60, 60, 3), 200, np.uint8), np.full((60, 60, 3), 20, np.uint8)
+    assert (augment.transplant(image, (200, 200, 240, 240), backdrop) == 20).all()

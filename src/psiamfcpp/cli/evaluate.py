@@ -3,21 +3,21 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, Literal
 
 import numpy as np
 
 from psiamfcpp import datasets
 from psiamfcpp.cli.output import print_json, progress
-from psiamfcpp.evaluation.metrics import Convention, Scores, mean_scores, score_sequence
+from psiamfcpp.evaluation.metrics import Convention, Scores, score_sequence
 from psiamfcpp.evaluation.ope import one_pass
+from psiamfcpp.evaluation.table import result_row
 from psiamfcpp.tracking import Tracker
 from psiamfcpp.zoo import DEFAULT_MODEL
 
 
 def evaluate(
     root: Path,
-    dataset: Literal["folder"] = "folder",
+    dataset: datasets.BenchmarkName = "folder",
     tracker: str = DEFAULT_MODEL,
     engine: str | None = None,
     threads: int | None = None,
@@ -25,11 +25,11 @@ def evaluate(
     plain: bool = False,
     json: bool = False,
 ) -> None:
-    """Run a tracker over a folder of sequences and score it (one-pass evaluation, both conventions).
+    """Run a tracker over a benchmark, or a folder of sequences, and score it (one-pass evaluation, both conventions).
 
     Args:
-        root: folder of sequences, each with img/ and groundtruth_rect.txt.
-        dataset: layout of the root.
+        root: the benchmark's folder; for `folder`, one of sequences, each with img/ and groundtruth_rect.txt.
+        dataset: name of the benchmark.
         tracker: name of a shipped model, or a model file.
         engine: what runs the network.
         threads: threads of the engine; by default all cores.
@@ -38,7 +38,7 @@ def evaluate(
         json: print one JSON object.
     """
     follower = Tracker(tracker, engine, threads, search_size, plain)
-    sequences = datasets.read(dataset, root)
+    sequences = datasets.BENCHMARKS[dataset].read(root)
     scores: dict[Convention, dict[str, Scores]] = {"otb": {}, "got10k": {}}
     speeds: list[float] = []
     with progress() as bar:
@@ -48,7 +48,7 @@ def evaluate(
             for convention in scores:
                 scores[convention][sequence.name] = score_sequence(sequence.boxes, run.boxes, convention)
     fps = float(1 / np.median(speeds)) if speeds else 0.0
-    results = [_row(tracker, dataset, convention, by_name, fps) for convention, by_name in scores.items()]
+    results = [result_row(tracker, dataset, convention, by_name, fps) for convention, by_name in scores.items()]
     if json:
         print_json({"results": results})
         return
@@ -58,14 +58,3 @@ def evaluate(
     for row in results:
         print(f"mean, {row['convention']:24}   {row['precision']:.3f}   {row['auc']:.3f}")
     print(f"{fps:.1f} fps")
-
-
-def _row(tracker: str, dataset: str, convention: str, by_name: dict[str, Scores], fps: float) -> dict[str, Any]:
-    return {
-        "tracker": tracker,
-        "dataset": dataset,
-        "convention": convention,
-        **mean_scores(by_name.values()).figures,
-        "sequences": {name: s.figures for name, s in by_name.items()},
-        "fps": fps,
-    }

@@ -10,9 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
-from psiamfcpp.crop import Image
 from psiamfcpp.errors import UserError
-from psiamfcpp.geometry import Box
+from psiamfcpp.geometry import Box, Image
 from psiamfcpp.tracking import Track, Tracker
 from psiamfcpp.video.drawing import STATE_COLOURS, draw, draw_status
 from psiamfcpp.video.writer import BoxWriter, VideoWriter

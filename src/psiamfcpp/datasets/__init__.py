@@ -1,4 +1,8 @@
-"""Readers of training sets and benchmarks: one file a layout, each with ``read(root) -> list[Sequence]``."""
+"""Readers, one file a layout, each with ``read(root) -> list[Sequence]``.
+
+`READERS` are for training: where a target cannot be seen there is no box. `BENCHMARKS` are for evaluation: their labels
+stay as published, because conventions differ in what such rows count for.
+"""
 
 from __future__ import annotations
 
@@ -6,10 +10,11 @@ from collections.abc import Callable
 from pathlib import Path
 
 from psiamfcpp.datasets import coco, folder, got10k, imagenet_vid, lasot, stills, trackingnet
+from psiamfcpp.datasets.benchmarks import BENCHMARKS, Benchmark, BenchmarkName
 from psiamfcpp.datasets.sequence import Image, Sequence, read_image
 from psiamfcpp.errors import UserError
 
-__all__ = ["READERS", "Image", "Sequence", "read", "read_image"]
+__all__ = ["BENCHMARKS", "READERS", "Benchmark", "BenchmarkName", "Image", "Sequence", "read", "read_image"]
 
 READERS: dict[str, Callable[[Path], list[Sequence]]] = {
     "folder": folder.read,

@@ -15,6 +15,20 @@ LAYOUT = "<root>/.../<sequence>/img/*.jpg and <root>/.../<sequence>/groundtruth_
 IMAGE_SUFFIXES = {".bmp", ".jpeg", ".jpg", ".png", ".webp"}
 
 
+def label_files(root: Path) -> dict[str, Path]:
+    """The label file of each sequence, by name.
+
+    Raises:
+        UserError: two sequences have one name.
+    """
+    files: dict[str, Path] = {}
+    for path in sorted(root.glob("**/groundtruth_rect.txt")):
+        other = files.setdefault(path.parent.name, path)
+        if other != path:
+            raise UserError(f"{other.parent} and {path.parent} have one name: rename one of the two sequences")
+    return files
+
+
 def read(root: Path) -> list[Sequence]:
     """Every sequence under ``root``, by name; the source is the name up to its first ``_`` or digit.
 
@@ -36,16 +50,20 @@ def read_boxes(path: Path) -> FloatArray:
     """Boxes ``(n, 4)`` from a text file with one box a line, parted by commas, tabs or blanks.
 
     Raises:
-        UserError: the file is missing or holds anything but four numbers a line.
+        UserError: the file is missing or holds anything but four numbers a line; names the line.
     """
     try:
-        lines = path.read_text().splitlines()
-        rows = [[float(v) for v in re.split(r"[,\s]+", line.strip())] for line in lines if line.strip()]
-        boxes = np.array(rows, dtype=np.float64).reshape(-1, 4)
+        lines = path.read_text().rstrip().splitlines()
     except (OSError, ValueError) as error:
         raise UserError(f"boxes {path} cannot be read ({error}): one x,y,w,h a line is expected") from None
-    if len(boxes) != len(rows):
-        raise UserError(f"boxes {path} do not have four numbers on each line")
+    boxes = np.empty((len(lines), 4))
+    for row, line in enumerate(lines):
+        try:
+            x, y, w, h = line.replace(",", " ").split()
+            boxes[row] = float(x), float(y), float(w), float(h)
+        except ValueError:
+            problem = f"boxes {path} cannot be read: line {row + 1} is {line[:60]!r}"
+            raise UserError(f"{problem}, but x,y,w,h is expected; was the file cut? fetch it again") from None
     return boxes
 
 

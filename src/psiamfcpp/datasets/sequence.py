@@ -7,12 +7,9 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from psiamfcpp.errors import UserError
-from psiamfcpp.geometry import FloatArray
-
-Image = NDArray[np.uint8]
+from psiamfcpp.geometry import FloatArray, Image
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,7 +20,7 @@ class Sequence:
     frames: list[Path]
     """image files, in time order"""
     boxes: FloatArray
-    """``(n, 4)`` as ``(x, y, w, h)``, pixels, a row a frame; NaN where the target is absent or unlabelled"""
+    """``(n, 4)`` as ``(x, y, w, h)``, pixels, a row a frame; for training NaN where the target is not seen"""
     source: str = ""
     """the collection that it comes from: training samples source by source, so that none drowns the rest"""
 
@@ -57,3 +54,14 @@ def require(path: Path, layout: str) -> Path:
     if not path.exists():
         raise UserError(f"{path} is missing; expected layout: {layout}")
     return path
+
+
+def labelled(name: str, frames: list[Path], boxes: FloatArray, source: str) -> Sequence:
+    """A sequence whose labels stand as published, a row a frame.
+
+    Raises:
+        UserError: there are more frames than labels, or fewer.
+    """
+    if len(frames) != len(boxes):
+        raise UserError(f"sequence {name} has {len(frames)} images but {len(boxes)} boxes: fetch it again")
+    return Sequence(name, frames, boxes, source)

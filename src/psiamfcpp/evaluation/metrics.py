@@ -69,10 +69,10 @@ def score_sequence(truth: ArrayLike, result: ArrayLike, convention: Convention =
     truth, boxes = np.asarray(truth, np.float64), np.array(result, np.float64)
     if truth.shape != boxes.shape or truth.ndim != 2 or truth.shape[1] != 4:
         raise UserError(f"results have shape {boxes.shape} but labels {truth.shape}: one x,y,w,h a frame is needed")
-    boxes[0] = truth[0]
-    for row in range(1, len(boxes)):
-        if not np.isfinite(boxes[row]).all() or boxes[row, 2] <= 0 or boxes[row, 3] <= 0:
-            boxes[row] = boxes[row - 1]
+    boxes[:1] = truth[:1]
+    usable = np.isfinite(boxes).all(axis=1) & (boxes[:, 2:] > 0).all(axis=1)
+    # The latest usable row; the first stands for itself, whatever it holds.
+    boxes = boxes[np.maximum.accumulate(np.where(usable, np.arange(len(boxes)), 0))]
     with np.errstate(divide="ignore", invalid="ignore"):
         valid = (truth > 0).all(axis=1) if convention == "otb" else ~np.isnan(truth).any(axis=1)
         offset = centre(boxes) - centre(truth)

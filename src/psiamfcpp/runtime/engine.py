@@ -7,8 +7,8 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from psiamfcpp.crop import Image
 from psiamfcpp.errors import UserError
+from psiamfcpp.geometry import Image
 from psiamfcpp.spec import ModelSpec
 from psiamfcpp.zoo import DEFAULT_MODEL
 

@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 import torch
 
-from psiamfcpp.crop import Image
+from psiamfcpp.geometry import Image
 from psiamfcpp.models import load
 from psiamfcpp.models.network import Kernels
 from psiamfcpp.runtime.engine import Float32Array

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from psiamfcpp.crop import Image, crop, mean_colour
+from psiamfcpp.crop import crop, mean_colour
 from psiamfcpp.errors import UserError
-from psiamfcpp.geometry import Box, centre, check_box, context_side, from_centre
+from psiamfcpp.geometry import Box, Image, centre, check_box, context_side, from_centre
 from psiamfcpp.runtime import Engine, open_engine
 from psiamfcpp.spec import STRIDE, score_size
 from psiamfcpp.tracking.confidence import State, StateMachine, confidence

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from numpy.random import Generator
 
-from psiamfcpp.crop import Image
+from psiamfcpp.geometry import Image
 
 
 def photometric(image: Image, rng: Generator, strength: float = 1.0) -> Image:
@@ -48,6 +48,25 @@ def occlude(image: Image, corners: tuple[float, float, float, float], rng: Gener
     covered = image.copy()
     covered[py : py + ph, px : px + pw] = image[sy : sy + ph, sx : sx + pw]
     return covered
+
+
+def transplant(image: Image, corners: tuple[float, float, float, float], backdrop: Image) -> Image:
+    """The target before another background, cut out along the ellipse in its box, with a soft rim.
+
+    A moving target leaves the surroundings that its template shows, so the network must not rely on them.
+
+    Args:
+        image: ``(S, S, 3)``, uint8, BGR, with the target.
+        corners: x0, y0, x1, y1 of the target in the crop.
+        backdrop: ``(S, S, 3)``, uint8, BGR.
+    """
+    x0, y0, x1, y1 = corners
+    mask = np.zeros(image.shape[:2], np.float32)
+    # Sub-pixel drawing: the last argument is the number of fractional bits.
+    middle, axes = ((x0 + x1) * 8, (y0 + y1) * 8), ((x1 - x0) * 8.8, (y1 - y0) * 8.8)
+    cv2.ellipse(mask, tuple(map(round, middle)), tuple(map(round, axes)), 0, 0, 360, 1.0, cv2.FILLED, cv2.LINE_8, 4)
+    share = np.asarray(cv2.GaussianBlur(mask, (0, 0), max(1.0, 0.04 * (x1 - x0 + y1 - y0))))[..., None]
+    return _as_image(image * share + backdrop * (1 - share) + 0.5)
 
 
 def _colour(image: Image, rng: Generator) -> Image:

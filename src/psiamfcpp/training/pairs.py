@@ -14,10 +14,10 @@ import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
-from psiamfcpp.crop import Image, crop, mean_colour, warp
+from psiamfcpp.crop import crop, mean_colour, warp
 from psiamfcpp.datasets import Sequence, read_image
 from psiamfcpp.errors import UserError
-from psiamfcpp.geometry import FloatArray, centre, context_side
+from psiamfcpp.geometry import FloatArray, Image, centre, context_side
 from psiamfcpp.spec import STRIDE, TEMPLATE_SIZE, score_size
 from psiamfcpp.training import augment
 from psiamfcpp.training.options import PairOptions
@@ -101,7 +101,7 @@ class PairSampler:
         z_map = crop_map(z_box, TEMPLATE_SIZE, z_jitter)
         template = self._show(z_image, z_map, TEMPLATE_SIZE, rng)
 
-        turned = rng.random() < (0.2 if target.is_clip else 0.5)
+        turned = rng.random() < (0.3 if target.is_clip else 0.5)
         half = o.search_size / 2
         reach = min(o.shift * half, (score_size(o.search_size) + 1) / 2 * STRIDE)
         shift = rng.uniform(-reach, reach, 2)
@@ -117,6 +117,8 @@ class PairSampler:
         search = self._show(x_image, x_map, o.search_size, rng)
         corners = box_in_crop(target.at(row)[1] if present else x_box, x_map)
         if o.augmentation:
+            if rng.random() < 0.2 * o.augmentation:
+                search = augment.transplant(search, corners, self._backdrop(o.search_size, rng))
             if rng.random() < 0.12 * o.augmentation:
                 search = augment.occlude(search, corners, rng)
             template = augment.photometric(template, rng, 0.6 * o.augmentation)
@@ -136,14 +138,16 @@ class PairSampler:
         inside = warp(np.full(image.shape[:2], 255, np.uint8), to_frame, size, (0, 0, 0)) > 127
         if inside.mean() > 0.85:
             return shown
-        kind = self._kinds[int(rng.integers(len(self._kinds)))]
-        scene = kind.draw(rng).sequence
-        backdrop = self._images.get(scene.frames[int(rng.integers(len(scene)))])
-        height, width = backdrop.shape[:2]
+        return np.where(inside[..., None], shown, self._backdrop(size, rng))
+
+    def _backdrop(self, size: int, rng: Generator) -> Image:
+        """A random square of a random picture."""
+        scene = self._kinds[int(rng.integers(len(self._kinds)))].draw(rng).sequence
+        image = self._images.get(scene.frames[int(rng.integers(len(scene)))])
+        height, width = image.shape[:2]
         side = min(height, width) * rng.uniform(0.4, 1.0)
         cx, cy = rng.uniform(side / 2, width - side / 2), rng.uniform(side / 2, height - side / 2)
-        behind = crop(backdrop, cx, cy, side, size, mean_colour(backdrop))
-        return np.where(inside[..., None], shown, behind)
+        return crop(image, cx, cy, side, size, mean_colour(image))
 
 
 @dataclass(frozen=True, eq=False, slots=True)

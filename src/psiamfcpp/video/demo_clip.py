@@ -10,15 +10,13 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from psiamfcpp.errors import UserError
-from psiamfcpp.geometry import Box
+from psiamfcpp.geometry import Box, Image
 from psiamfcpp.video import demo_vehicles
 from psiamfcpp.video.demo_ground import LANE, SUN, Land, Road, build
 from psiamfcpp.video.demo_vehicles import Affine, Colour, Sprite
 
-Image = NDArray[np.uint8]
 Pose = tuple[float, float, float]
 """place and heading ``(x, y, radians)`` on the land"""
 _Move = Callable[[float], Pose]

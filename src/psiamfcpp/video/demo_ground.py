@@ -8,7 +8,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-Image = NDArray[np.uint8]
+from psiamfcpp.geometry import Image
+
 Points = NDArray[np.float64]
 
 SIDE = 3600

@@ -8,7 +8,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-Image = NDArray[np.uint8]
+from psiamfcpp.geometry import Image
+
 Affine = NDArray[np.float64]
 Colour = tuple[int, int, int]
 

@@ -5,12 +5,9 @@ from __future__ import annotations
 import math
 
 import cv2
-import numpy as np
-from numpy.typing import NDArray
 
-from psiamfcpp.geometry import Box
+from psiamfcpp.geometry import Box, Image
 
-Image = NDArray[np.uint8]
 Colour = tuple[int, int, int]
 
 STATE_COLOURS: dict[str, Colour] = {

@@ -8,12 +8,10 @@ from collections.abc import Callable, Iterator
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from psiamfcpp.errors import UserError
+from psiamfcpp.geometry import Image
 from psiamfcpp.video.capture import FALLBACK_FPS, ended_early, open_capture, sane_count, sane_fps
-
-Image = NDArray[np.uint8]
 
 _FIRST_WAIT_S, _LONGEST_WAIT_S = 0.25, 4.0
 # a wait without an end cannot be interrupted with Ctrl-C everywhere

@@ -11,13 +11,11 @@ from types import TracebackType
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from psiamfcpp.errors import UserError
+from psiamfcpp.geometry import Image
 from psiamfcpp.video.capture import FALLBACK_FPS, ended_early, open_capture, sane_count, sane_fps
 from psiamfcpp.video.live import LiveReader
-
-Image = NDArray[np.uint8]
 
 IMAGE_SUFFIXES = {".bmp", ".jpeg", ".jpg", ".png", ".tif", ".tiff", ".webp"}
 _URL_SCHEMES = ("rtsp://", "rtsps://", "http://", "https://")

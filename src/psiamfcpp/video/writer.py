@@ -13,15 +13,13 @@ from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from psiamfcpp.errors import UserError
-from psiamfcpp.geometry import Box
+from psiamfcpp.geometry import Box, Image
 
 if TYPE_CHECKING:
     from av import VideoFrame
 
-Image = NDArray[np.uint8]
 
 SUFFIXES = (".mp4", ".mkv", ".avi")
 _PROBE = 2**16

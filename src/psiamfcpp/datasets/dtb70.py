@@ -1,0 +1,27 @@
+"""DTB70 (Li and Yeung, AAAI 2017): a folder a sequence."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from psiamfcpp.datasets.folder import image_files, read_boxes
+from psiamfcpp.datasets.sequence import Sequence, labelled, require
+
+LAYOUT = "<root>/<sequence>/img/*.jpg and <root>/<sequence>/groundtruth_rect.txt (x,y,w,h a frame)"
+
+
+def label_files(root: Path) -> dict[str, Path]:
+    """The label file of each sequence, by name."""
+    return {path.parent.name: path for path in sorted(root.glob("*/groundtruth_rect.txt"))}
+
+
+def read(root: Path) -> list[Sequence]:
+    """Every sequence, by name; zero rows, of targets out of view, stay as they are.
+
+    Raises:
+        UserError: a file is missing or unreadable, or the frames and boxes differ in number.
+    """
+    return [
+        labelled(name, image_files(require(truth.parent / "img", LAYOUT)), read_boxes(truth), "dtb70")
+        for name, truth in label_files(root).items()
+    ]

@@ -1,0 +1,51 @@
+"""OTB100 (Wu et al., TPAMI 2015): a folder a sequence, some with two targets.
+
+Two targets have ``groundtruth_rect.1.txt`` and ``.2.txt``; their sequences are called ``Jogging-1``, ``Jogging-2``.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from psiamfcpp.datasets.folder import image_files, read_boxes
+from psiamfcpp.datasets.sequence import Sequence, require
+from psiamfcpp.errors import UserError
+
+LAYOUT = "<root>/<sequence>/img/0001.jpg and <root>/<sequence>/groundtruth_rect.txt (or .1.txt and .2.txt)"
+
+# The number of the first labelled frame where that is not 1. How many rows there are tells where the labels end:
+# the folders of Diving, Football1, Freeman3 and Freeman4 hold more frames than that.
+_FIRST_FRAME = {"BlurCar1": 247, "BlurCar3": 3, "BlurCar4": 18, "David": 300}
+
+
+def label_files(root: Path) -> dict[str, Path]:
+    """The label file of each target, by the sequence's name, with ``-1`` or ``-2`` where a file is numbered."""
+    files = {}
+    for path in sorted(root.glob("*/groundtruth_rect*.txt")):
+        number = path.stem.removeprefix("groundtruth_rect").lstrip(".")
+        # Human4 comes with an empty first file: the benchmark follows its second target alone.
+        if not number or path.read_text().strip():
+            files[path.parent.name + (f"-{number}" if number else "")] = path
+    return files
+
+
+def read(root: Path) -> list[Sequence]:
+    """Every target, by name, with the frames that its labels are of.
+
+    Raises:
+        UserError: a file is missing or unreadable.
+    """
+    sequences = []
+    for name, truth in label_files(root).items():
+        boxes, folder = read_boxes(truth), require(truth.parent / "img", LAYOUT)
+        by_number = {int(path.stem): path for path in image_files(folder) if path.stem.isdecimal()}
+        first = _FIRST_FRAME.get(truth.parent.name, 1)
+        numbers = range(first, first + len(boxes))
+        lacking = next((n for n in numbers if n not in by_number), None)
+        if lacking is not None:
+            problem = (
+                f"sequence {name} has {len(boxes)} boxes, from frame {first} on, but {folder} has no frame {lacking}"
+            )
+            raise UserError(f"{problem}: fetch it again")
+        sequences.append(Sequence(name, [by_number[n] for n in numbers], boxes, "otb100"))
+    return sequences

@@ -1,0 +1,117 @@
+"""UAV123, UAV20L and UAV123@10fps (Mueller et al., ECCV 2016): long videos, cut into sequences by frame ranges.
+
+`car1_1` and `car1_2` are parts of the folder `car1`. Which frames a sequence has stands in the download's MATLAB file
+``configSeqs.m``; the ranges at 10 frames a second are shipped here.
+"""
+
+from __future__ import annotations
+
+import csv
+import functools
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+from psiamfcpp.datasets.folder import read_boxes
+from psiamfcpp.datasets.sequence import Sequence, labelled, require
+from psiamfcpp.errors import UserError
+
+_RANGES_10FPS = Path(__file__).parent / "tables" / "uav123_10fps_ranges.csv"
+# One sequence in configSeqs.m; its path may be joined from a variable and a quoted end.
+_STRUCT = re.compile(
+    r"struct\(\s*'name'\s*,\s*'(?P<name>[^']+)'\s*,\s*'path'\s*,[^']*'(?P<path>[^']+)'[^']*,"
+    r"\s*'startFrame'\s*,\s*(?P<first>\d+)\s*,\s*'endFrame'\s*,\s*(?P<last>\d+)"
+)
+
+
+@dataclass(frozen=True)
+class _Range:
+    folder: str
+    first: int
+    last: int
+
+
+@dataclass(frozen=True)
+class Uav123:
+    """One of the three benchmarks, which share a layout."""
+
+    name: str
+    """name of the benchmark"""
+    frames: str
+    """its folder in ``data_seq``"""
+    labels: str
+    """its folder in ``anno``"""
+
+    @property
+    def layout(self) -> str:
+        """The expected layout, in one line."""
+        folders = f"<root>/data_seq/{self.frames}/<folder>/000001.jpg and <root>/anno/{self.labels}/<sequence>.txt"
+        return folders if self.name == "uav123-10fps" else f"{folders}, with <root>/configSeqs.m of the download"
+
+    def label_files(self, root: Path) -> dict[str, Path]:
+        """The label file of each sequence, by name."""
+        return {path.stem: path for path in sorted((root / "anno" / self.labels).glob("*.txt"))}
+
+    def read(self, root: Path) -> list[Sequence]:
+        """Every sequence, by name.
+
+        Raises:
+            UserError: a file is missing or unreadable, or a sequence's frames are not known.
+        """
+        files = self.label_files(root)
+        folders = require(root / "data_seq" / self.frames, self.layout) if files else root
+        ranges = _shipped_ranges() if self.name == "uav123-10fps" else _published_ranges(root, self.frames)
+        # Parts of one video share its folder: list it once.
+        present = functools.cache(lambda folder: {path.name for path in require(folder, self.layout).glob("*.jpg")})
+        sequences = []
+        for name, truth in files.items():
+            boxes = read_boxes(truth)
+            part = _choose(name, len(boxes), ranges.get(name, []), folders)
+            folder = folders / part.folder
+            frames = [folder / f"{number:06d}.jpg" for number in range(part.first, part.last + 1)]
+            lacking = next((frame for frame in frames if frame.name not in present(folder)), None)
+            if lacking is not None:
+                raise UserError(f"{lacking} is missing; expected layout: {self.layout}")
+            sequences.append(labelled(name, frames, boxes, self.name))
+        return sequences
+
+
+UAV123 = Uav123("uav123", "UAV123", "UAV123")
+UAV20L = Uav123("uav20l", "UAV123", "UAV20L")
+UAV123_10FPS = Uav123("uav123-10fps", "UAV123_10fps", "UAV123_10fps")
+
+
+def _choose(name: str, rows: int, ranges: list[_Range], folders: Path) -> _Range:
+    # configSeqs.m lists UAV123 and UAV20L, which share names and folders: the number of labels tells them apart.
+    fitting = [part for part in ranges if part.last - part.first + 1 == rows]
+    if fitting:
+        return fitting[0]
+    if not ranges and (folders / name).is_dir():
+        return _Range(name, 1, rows)
+    if not ranges:
+        raise UserError(f"which frames sequence {name} has is not known: put the download's configSeqs.m into the root")
+    lengths = " or ".join(str(part.last - part.first + 1) for part in ranges)
+    raise UserError(
+        f"sequence {name} has {rows} boxes, but its range of frames holds {lengths}: fetch the labels again"
+    )
+
+
+def _shipped_ranges() -> dict[str, list[_Range]]:
+    with _RANGES_10FPS.open(newline="") as file:
+        return {
+            row["sequence"]: [_Range(row["folder"], int(row["first_frame"]), int(row["last_frame"]))]
+            for row in csv.DictReader(file)
+        }
+
+
+def _published_ranges(root: Path, frames: str) -> dict[str, list[_Range]]:
+    """What ``configSeqs.m`` in the root, or one folder below, says of a folder of ``data_seq``; empty without it."""
+    ranges: dict[str, list[_Range]] = {}
+    for path in sorted([*root.glob("configSeqs.m"), *root.glob("*/configSeqs.m")])[:1]:
+        # The comments of MATLAB users are seldom UTF-8.
+        for found in _STRUCT.finditer(path.read_text(encoding="latin-1")):
+            *above, folder = re.split(r"[\\/]+", found["path"].strip("\\/"))
+            if not above or above[-1] == frames:
+                part = _Range(folder, int(found["first"]), int(found["last"]))
+                ranges.setdefault(found["name"], []).append(part)
+    return ranges

@@ -1,0 +1,29 @@
+"""UAVDT, its single-object part (Du et al., ECCV 2018): frames and labels in two trees."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from psiamfcpp.datasets.folder import image_files, read_boxes
+from psiamfcpp.datasets.sequence import Sequence, labelled, require
+
+LAYOUT = "<root>/sequences/<sequence>/img000001.jpg and <root>/anno/<sequence>_gt.txt (x,y,w,h a frame)"
+
+
+def label_files(root: Path) -> dict[str, Path]:
+    """The label file of each sequence, by name; ``root`` may also be the folder ``anno`` itself."""
+    # Files of attributes, which lie beside the labels, end in _att.txt.
+    folder = root / "anno" if (root / "anno").is_dir() else root
+    return {path.name.removesuffix("_gt.txt"): path for path in sorted(folder.glob("*_gt.txt"))}
+
+
+def read(root: Path) -> list[Sequence]:
+    """Every sequence, by name.
+
+    Raises:
+        UserError: a file is missing or unreadable, or the frames and boxes differ in number.
+    """
+    return [
+        labelled(name, image_files(require(root / "sequences" / name, LAYOUT)), read_boxes(truth), "uavdt")
+        for name, truth in label_files(root).items()
+    ]

@@ -1,0 +1,27 @@
+"""VisDrone2018-SOT-test-dev (Wen et al., ECCVW 2018): frames and labels in two trees."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from psiamfcpp.datasets.folder import image_files, read_boxes
+from psiamfcpp.datasets.sequence import Sequence, labelled, require
+
+LAYOUT = "<root>/sequences/<sequence>/img0000001.jpg and <root>/annotations/<sequence>.txt (x,y,w,h a frame)"
+
+
+def label_files(root: Path) -> dict[str, Path]:
+    """The label file of each sequence, by name."""
+    return {path.stem: path for path in sorted((root / "annotations").glob("*.txt"))}
+
+
+def read(root: Path) -> list[Sequence]:
+    """Every sequence, by name.
+
+    Raises:
+        UserError: a file is missing or unreadable, or the frames and boxes differ in number.
+    """
+    return [
+        labelled(name, image_files(require(root / "sequences" / name, LAYOUT)), read_boxes(truth), "visdrone2018")
+        for name, truth in label_files(root).items()
+    ]

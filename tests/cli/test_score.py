@@ -1,0 +1,112 @@
+"""`psiamfcpp score`."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from .conftest import Run
+
+FIGURES = ("precision", "normalized_precision", "auc", "success50")
+NONE = "0,0,0,0\n"
+
+
+def box(x: int) -> str:
+    return f"{x},10,20,20\n"
+
+
+@pytest.fixture
+def command(tmp_path: Path) -> list[str | Path]:
+    """Two sequences and two trackers: `near` is perfect, `far` loses a car in its last frame but one."""
+    files = {
+        "anno/car1.txt": box(10) * 4,
+        "anno/car2.txt": box(10) * 3 + NONE,
+        "results/near/car1.txt": box(10) * 4,
+        "results/near/car2.txt": box(10) * 4,
+        "results/far/car1.txt": box(10) * 2 + box(99) + "NaN NaN NaN NaN\n",
+        "results/far/car2.txt": box(10) * 4,
+    }
+    for name, text in files.items():
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text(text)
+    return ["score", "--dataset", "dtb70", "--annotations", tmp_path / "anno", "--results", tmp_path / "results"]
+
+
+def test_score_prints_one_json_object(run: Run, command: list[str | Path]) -> None:
+    ended = run(*command, "--json")
+    assert (ended.code, ended.err) == (0, "")
+    data = json.loads(ended.out)
+    assert data.keys() == {"results"}
+    rows = {(row["tracker"], row["convention"]): row for row in data["results"]}
+    assert rows.keys() == {(t, c) for t in ("far", "near") for c in ("otb", "got10k")}
+    for row in rows.values():
+        assert row.keys() == {"tracker", "dataset", "convention", *FIGURES, "invalid_rows", "sequences", "fps"}
+        assert (row["dataset"], row["fps"], list(row["sequences"])) == ("dtb70", None, ["car1", "car2"])
+        for figure in FIGURES:
+            assert row[figure] == pytest.approx(sum(s[figure] for s in row["sequences"].values()) / 2)
+    # car1: two of four frames; car2: under otb the zero row is a hit and a miss, under got10k it is 19 px off
+    otb, got10k = rows["far", "otb"], rows["far", "got10k"]
+    assert (otb["precision"], otb["success50"], otb["invalid_rows"]) == (3 / 4, (2 / 4 + 3 / 4) / 2, 1)
+    assert (got10k["precision"], got10k["invalid_rows"]) == ((2 / 4 + 3 / 4) / 2, 0)
+    assert rows["near", "otb"]["precision"] == 1
+
+
+def test_one_convention(run: Run, command: list[str | Path]) -> None:
+    ended = run(*command, "--convention", "got10k", "--json")
+    assert {row["convention"] for row in json.loads(ended.out)["results"]} == {"got10k"}
+    assert "otb" not in run(*command, "--convention", "got10k").out
+
+
+def test_a_table_a_convention(run: Run, command: list[str | Path]) -> None:
+    ended = run(*command)
+    assert (ended.code, ended.err) == (0, "")
+    head, otb, got10k = ended.out.split("\n\n")
+    assert head == "dtb70: 2 of 70 sequences, 8 labels"
+    assert otb.startswith("otb: rows without a valid label count as")
+    assert got10k.startswith("got10k: rows without a valid label are dropped")
+    assert [line.split() for line in otb.splitlines()[2:]] == [
+        ["far", "0.750", "0.750", "0.595", "0.625", "1"],
+        ["near", "1.000", "1.000", "0.833", "0.875", "1"],
+    ]
+
+
+def test_one_tracker_is_shown_sequence_by_sequence(run: Run, command: list[str | Path]) -> None:
+    *_, results = command
+    ended = run(*command[:-1], Path(results) / "far", "--convention", "otb")
+    assert [line.split()[:2] for line in ended.out.splitlines()[4:]] == [
+        ["far", "0.750"],
+        ["car1", "0.500"],
+        ["car2", "1.000"],
+    ]
+
+
+def test_a_missing_sequence(run: Run, command: list[str | Path]) -> None:
+    *_, results = command
+    (Path(results) / "far" / "car2.txt").unlink()
+    (Path(results) / "plots").mkdir()
+    assert "tracker far lacks 1 of 2 sequences, the first is car2: add its result, or give --allow-missing" in (
+        run(*command).refused()
+    )
+    ended = run(*command, "--allow-missing", "--json")
+    assert ended.code == 0
+    assert ended.err.splitlines() == [
+        "far: 1 of 2 sequences are missing and do not count",
+        "plots: a folder without results of dtb70, left out",
+    ]
+    far = json.loads(ended.out)["results"][0]
+    assert (list(far["sequences"]), far["precision"]) == (["car1"], 0.5)
+
+
+def test_what_cannot_be_scored_is_refused(run: Run, command: list[str | Path], tmp_path: Path) -> None:
+    *_, results = command
+    near = Path(results) / "near"
+    assert "second tracker called near: rename its folder" in run(*command[:-1], near, results).refused()
+    assert "nowhere does not exist" in run(*command[:-1], tmp_path / "nowhere").refused()
+    (near / "car1.txt").write_text(box(10) * 3)
+    assert "near/car1.txt have 3 rows, but 4 are needed" in run(*command).refused()
+    (near / "car1.txt").write_text(box(10) * 3 + "10,1")
+    assert "near/car1.txt cannot be read: line 4 is '10,1'" in run(*command).refused()
+    (tmp_path / "anno" / "car1.txt").write_text("")
+    assert "anno/car1.txt are empty" in run(*command).refused()

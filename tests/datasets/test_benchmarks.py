@@ -1,0 +1,50 @@
+"""What holds for every benchmark: names, labels without frames, and a wrong root."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import get_args
+
+import numpy as np
+import pytest
+
+from psiamfcpp.datasets import BENCHMARKS, BenchmarkName
+from psiamfcpp.errors import UserError
+
+
+def test_every_documented_name_is_known_and_can_be_typed():
+    names = ["uav123-10fps", "uav123", "uav20l", "dtb70", "uavdt", "visdrone2018", "otb100", "got10k-val", "folder"]
+    assert list(BENCHMARKS) == names == list(get_args(BenchmarkName))
+    assert all(name == benchmark.name for name, benchmark in BENCHMARKS.items())
+
+
+@pytest.mark.parametrize("name", BENCHMARKS)
+def test_labels_of_a_plain_folder_stand_as_published(name: str, lay):
+    root = lay({"b.txt": "0 0 0 0\nNaN NaN NaN NaN\n", "a.txt": "1,2,3,4\n"})
+    labels = BENCHMARKS[name].read_labels(root)
+    assert list(labels) == ["a", "b"]
+    np.testing.assert_equal(labels["b"], [[0] * 4, [np.nan] * 4])
+
+
+@pytest.mark.parametrize("name", BENCHMARKS)
+def test_a_wrong_root_shows_the_layout_on_one_line(name: str, tmp_path: Path):
+    benchmark = BENCHMARKS[name]
+    for read in (benchmark.read, benchmark.read_labels):
+        with pytest.raises(UserError, match=r"nowhere does not exist"):
+            read(tmp_path / "nowhere")
+        with pytest.raises(UserError, match=r"holds no sequence.*; expected layout: .*<root>/") as caught:
+            read(tmp_path)
+        assert "\n" not in str(caught.value)
+
+
+def test_an_empty_label_file_is_named(lay):
+    with pytest.raises(UserError, match=r"labels .*b\.txt are empty"):
+        BENCHMARKS["dtb70"].read_labels(lay({"a.txt": "1,2,3,4\n", "b.txt": "\n"}))
+
+
+@pytest.mark.parametrize(
+    ("name", "folder"),
+    [("uav123-10fps", "UAV123@10fps"), ("dtb70", "DTB70"), ("visdrone2018", "VisDrone2018-SOT-test-dev")],
+)
+def test_a_folder_is_known_in_whatever_spelling(name: str, folder: str):
+    assert [n for n, b in BENCHMARKS.items() if b.owns(Path("x") / folder)] == [name]
