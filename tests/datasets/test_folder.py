@@ -24,11 +24,6 @@ def test_sequences_at_any_depth(lay):
     assert boat.frames == [root / "a/boat_2/img/1.PNG"]
 
 
-def test_only_images_are_frames(lay):
-    root = lay({"img/notes.txt": "", "img/a.webp": "", "img/b.jpeg": ""})
-    assert [p.name for p in folder.image_files(root / "img")] == ["a.webp", "b.jpeg"]
-
-
 @pytest.mark.parametrize("text", ["1,2,3,4", "1\t2\t3\t4\n", " 1 2  3 4 \n\n", "1, 2, 3, 4\r\n"])
 def test_boxes_parted_by_commas_tabs_or_blanks(tmp_path: Path, text: str):
     path = tmp_path / "boxes.txt"

@@ -2,8 +2,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import cv2
-import numpy as np
 import pytest
 
 from psiamfcpp import datasets
@@ -37,30 +35,3 @@ def test_an_empty_root_shows_the_layout_on_one_line(kind: str, tmp_path: Path):
     with pytest.raises(UserError, match="expected layout: <root>/") as caught:
         datasets.read(kind, tmp_path)
     assert "\n" not in str(caught.value)
-
-
-def test_read_image_gives_bgr_bytes(tmp_path: Path):
-    path = tmp_path / "red.png"
-    cv2.imwrite(str(path), np.full((2, 3, 3), (0, 0, 255), dtype=np.uint8))
-    image = datasets.read_image(path)
-    assert image.shape == (2, 3, 3)
-    assert image.dtype == np.uint8
-    assert image[0, 0].tolist() == [0, 0, 255]
-
-
-def test_read_image_makes_three_channels_of_a_grey_one(tmp_path: Path):
-    path = tmp_path / "grey.png"
-    cv2.imwrite(str(path), np.full((2, 3), 7, dtype=np.uint8))
-    assert datasets.read_image(path).tolist() == [[[7, 7, 7]] * 3] * 2
-
-
-def test_read_image_missing(tmp_path: Path):
-    with pytest.raises(UserError, match=r"image .*gone\.png does not exist"):
-        datasets.read_image(tmp_path / "gone.png")
-
-
-def test_read_image_damaged(tmp_path: Path):
-    path = tmp_path / "bad.png"
-    path.write_bytes(b"not an image")
-    with pytest.raises(UserError, match=r"image .*bad\.png cannot be decoded"):
-        datasets.read_image(path)

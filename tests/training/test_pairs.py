@@ -12,8 +12,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from psiamfcpp.crop import crop, mean_colour, warp
-from psiamfcpp.datasets import Sequence, read_image
+from psiamfcpp.datasets import Sequence
 from psiamfcpp.errors import UserError
+from psiamfcpp.images import read_image
 from psiamfcpp.training.options import PairOptions
 from psiamfcpp.training.pairs import ImageCache, Jitter, Pair, PairSampler, box_in_crop, crop_map
 

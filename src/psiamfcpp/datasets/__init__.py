@@ -11,10 +11,10 @@ from pathlib import Path
 
 from psiamfcpp.datasets import coco, folder, got10k, imagenet_vid, lasot, stills, trackingnet
 from psiamfcpp.datasets.benchmarks import BENCHMARKS, Benchmark, BenchmarkName
-from psiamfcpp.datasets.sequence import Image, Sequence, read_image
+from psiamfcpp.datasets.sequence import Sequence
 from psiamfcpp.errors import UserError
 
-__all__ = ["BENCHMARKS", "READERS", "Benchmark", "BenchmarkName", "Image", "Sequence", "read", "read_image"]
+__all__ = ["BENCHMARKS", "READERS", "Benchmark", "BenchmarkName", "Sequence", "read"]
 
 READERS: dict[str, Callable[[Path], list[Sequence]]] = {
     "folder": folder.read,

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from psiamfcpp.datasets.folder import image_files, read_boxes
+from psiamfcpp.datasets.folder import read_boxes
 from psiamfcpp.datasets.sequence import Sequence, labelled, require
+from psiamfcpp.images import image_files
 
 LAYOUT = "<root>/<sequence>/img/*.jpg and <root>/<sequence>/groundtruth_rect.txt (x,y,w,h a frame)"
 
@@ -22,6 +23,6 @@ def read(root: Path) -> list[Sequence]:
         UserError: a file is missing or unreadable, or the frames and boxes differ in number.
     """
     return [
-        labelled(name, image_files(require(truth.parent / "img", LAYOUT)), read_boxes(truth), "dtb70")
+        labelled(name, image_files(require(truth.parent / "img", LAYOUT).iterdir()), read_boxes(truth), "dtb70")
         for name, truth in label_files(root).items()
     ]

@@ -10,9 +10,9 @@ import numpy as np
 from psiamfcpp.datasets.sequence import Sequence
 from psiamfcpp.errors import UserError
 from psiamfcpp.geometry import FloatArray
+from psiamfcpp.images import image_files
 
 LAYOUT = "<root>/.../<sequence>/img/*.jpg and <root>/.../<sequence>/groundtruth_rect.txt (x,y,w,h a frame)"
-IMAGE_SUFFIXES = {".bmp", ".jpeg", ".jpg", ".png", ".webp"}
 
 
 def label_files(root: Path) -> dict[str, Path]:
@@ -41,11 +41,6 @@ def read(root: Path) -> list[Sequence]:
     return [_sequence(truth.parent) for truth in truths]
 
 
-def image_files(folder: Path) -> list[Path]:
-    """The images of a folder, sorted by name."""
-    return sorted(p for p in folder.glob("*") if p.suffix.lower() in IMAGE_SUFFIXES)
-
-
 def read_boxes(path: Path) -> FloatArray:
     """Boxes ``(n, 4)`` from a text file with one box a line, parted by commas, tabs or blanks.
 
@@ -68,7 +63,7 @@ def read_boxes(path: Path) -> FloatArray:
 
 
 def _sequence(folder: Path) -> Sequence:
-    frames, boxes = image_files(folder / "img"), read_boxes(folder / "groundtruth_rect.txt")
+    frames, boxes = image_files((folder / "img").glob("*")), read_boxes(folder / "groundtruth_rect.txt")
     if len(frames) != len(boxes):
         raise UserError(f"sequence {folder} has {len(frames)} images but {len(boxes)} boxes: mend the folder")
     source = re.split(r"[_\d]", folder.name, maxsplit=1)[0]

@@ -10,9 +10,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from psiamfcpp.datasets.folder import image_files, read_boxes
+from psiamfcpp.datasets.folder import read_boxes
 from psiamfcpp.datasets.sequence import Sequence, require
 from psiamfcpp.errors import UserError
+from psiamfcpp.images import image_files
 
 LAYOUT = (
     "<root>/{train,val}/list.txt and <root>/{train,val}/GOT-10k_*/"
@@ -53,7 +54,7 @@ def _sequence(folder: Path) -> Sequence:
     boxes = read_boxes(require(folder / "groundtruth.txt", LAYOUT))
     absence = read_labels(require(folder / "absence.label", LAYOUT))
     cover = read_labels(require(folder / "cover.label", LAYOUT))
-    frames = image_files(folder)
+    frames = image_files(folder.iterdir())
     if not len(frames) == len(boxes) == len(absence) == len(cover):
         counts = f"{len(frames)} images, {len(boxes)} boxes, {len(absence)} absence, {len(cover)} cover rows"
         raise UserError(f"sequence {folder} has {counts}: the counts must be equal, fetch it again")

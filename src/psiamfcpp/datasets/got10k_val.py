@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from psiamfcpp.datasets.folder import image_files, read_boxes
+from psiamfcpp.datasets.folder import read_boxes
 from psiamfcpp.datasets.sequence import Sequence, labelled, require
+from psiamfcpp.images import image_files
 
 LAYOUT = "<root>/val/list.txt and <root>/val/GOT-10k_Val_*/{00000001.jpg, groundtruth.txt}, or the folder val as <root>"
 
@@ -30,6 +31,6 @@ def read(root: Path) -> list[Sequence]:
         UserError: a file is missing or unreadable, or the frames and boxes differ in number.
     """
     return [
-        labelled(name, image_files(truth.parent), read_boxes(truth), "got10k-val")
+        labelled(name, image_files(truth.parent.iterdir()), read_boxes(truth), "got10k-val")
         for name, truth in label_files(root).items()
     ]

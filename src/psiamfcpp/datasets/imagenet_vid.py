@@ -10,10 +10,10 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from psiamfcpp.datasets.folder import image_files
 from psiamfcpp.datasets.sequence import Sequence, require
 from psiamfcpp.errors import UserError
 from psiamfcpp.geometry import from_corners
+from psiamfcpp.images import image_files
 
 LAYOUT = (
     "<root>/Data/VID/{train/ILSVRC2015_VID_train_000X/<snippet>, val/<snippet>}/000000.JPEG "
@@ -37,7 +37,7 @@ def read(root: Path) -> list[Sequence]:
 
 
 def _tracks(labels: Path, data: Path) -> list[Sequence]:
-    images = {path.stem: path for path in image_files(require(data, LAYOUT))}
+    images = {path.stem: path for path in image_files(require(data, LAYOUT).iterdir())}
     tracks: dict[str, list[tuple[Path, list[float]]]] = {}
     for label in sorted(labels.glob("*.xml")):
         for track, corners in _objects(label):

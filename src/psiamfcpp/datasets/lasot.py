@@ -11,10 +11,11 @@ from pathlib import Path
 
 import numpy as np
 
-from psiamfcpp.datasets.folder import image_files, read_boxes
+from psiamfcpp.datasets.folder import read_boxes
 from psiamfcpp.datasets.got10k import read_labels
 from psiamfcpp.datasets.sequence import Sequence, require
 from psiamfcpp.errors import UserError
+from psiamfcpp.images import image_files
 
 LAYOUT = (
     "<root>/<class>/<class>-N/{img/00000001.jpg, groundtruth.txt, full_occlusion.txt, out_of_view.txt}, "
@@ -44,7 +45,7 @@ def _sequence(folder: Path, source: str) -> Sequence:
     boxes = read_boxes(require(folder / "groundtruth.txt", LAYOUT))
     occluded = read_labels(require(folder / "full_occlusion.txt", LAYOUT))
     outside = read_labels(require(folder / "out_of_view.txt", LAYOUT))
-    frames = image_files(require(folder / "img", LAYOUT))
+    frames = image_files(require(folder / "img", LAYOUT).iterdir())
     if not len(frames) == len(boxes) == len(occluded) == len(outside):
         counts = f"{len(frames)} images, {len(boxes)} boxes, {len(occluded)} occlusion, {len(outside)} view flags"
         raise UserError(f"sequence {folder} has {counts}: the counts must be equal, fetch it again")

@@ -7,9 +7,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from psiamfcpp.datasets.folder import image_files, read_boxes
+from psiamfcpp.datasets.folder import read_boxes
 from psiamfcpp.datasets.sequence import Sequence, require
 from psiamfcpp.errors import UserError
+from psiamfcpp.images import image_files
 
 LAYOUT = "<root>/<sequence>/img/0001.jpg and <root>/<sequence>/groundtruth_rect.txt (or .1.txt and .2.txt)"
 
@@ -38,7 +39,7 @@ def read(root: Path) -> list[Sequence]:
     sequences = []
     for name, truth in label_files(root).items():
         boxes, folder = read_boxes(truth), require(truth.parent / "img", LAYOUT)
-        by_number = {int(path.stem): path for path in image_files(folder) if path.stem.isdecimal()}
+        by_number = {int(path.stem): path for path in image_files(folder.iterdir()) if path.stem.isdecimal()}
         first = _FIRST_FRAME.get(truth.parent.name, 1)
         numbers = range(first, first + len(boxes))
         lacking = next((n for n in numbers if n not in by_number), None)

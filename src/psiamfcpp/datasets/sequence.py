@@ -5,11 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-import cv2
-import numpy as np
-
 from psiamfcpp.errors import UserError
-from psiamfcpp.geometry import FloatArray, Image
+from psiamfcpp.geometry import FloatArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,19 +23,6 @@ class Sequence:
 
     def __len__(self) -> int:
         return len(self.frames)
-
-
-def read_image(path: Path) -> Image:
-    """An image file as ``(height, width, 3)`` uint8, BGR.
-
-    Raises:
-        UserError: the file is missing or cannot be decoded.
-    """
-    image = cv2.imread(str(path), cv2.IMREAD_COLOR)
-    if image is None:
-        state = "cannot be decoded" if path.exists() else "does not exist"
-        raise UserError(f"image {path} {state}")
-    return np.asarray(image, dtype=np.uint8)
 
 
 def require(path: Path, layout: str) -> Path:

@@ -9,9 +9,10 @@ from pathlib import Path
 
 import numpy as np
 
-from psiamfcpp.datasets.folder import image_files, read_boxes
+from psiamfcpp.datasets.folder import read_boxes
 from psiamfcpp.datasets.sequence import Sequence, require
 from psiamfcpp.errors import UserError
+from psiamfcpp.images import image_files
 
 LAYOUT = (
     "<root>/TRAIN_<n>/anno/<name>.txt (x,y,w,h a frame) and <root>/TRAIN_<n>/frames/<name>/{0,1,...}.jpg, "
@@ -38,7 +39,7 @@ def read(root: Path) -> list[Sequence]:
 def _sequence(truth: Path) -> Sequence:
     boxes = read_boxes(truth)
     folder = require(truth.parent.parent / "frames" / truth.stem, LAYOUT)
-    frames = sorted(image_files(folder), key=_number)
+    frames = sorted(image_files(folder.iterdir()), key=_number)
     if len(frames) != len(boxes):
         raise UserError(f"sequence {folder} has {len(frames)} images but {len(boxes)} boxes: fetch it again")
     boxes[~(boxes[:, 2:] > 0).all(axis=1)] = np.nan

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from psiamfcpp.datasets.folder import image_files, read_boxes
+from psiamfcpp.datasets.folder import read_boxes
 from psiamfcpp.datasets.sequence import Sequence, labelled, require
+from psiamfcpp.images import image_files
 
 LAYOUT = "<root>/sequences/<sequence>/img000001.jpg and <root>/anno/<sequence>_gt.txt (x,y,w,h a frame)"
 
@@ -24,6 +25,6 @@ def read(root: Path) -> list[Sequence]:
         UserError: a file is missing or unreadable, or the frames and boxes differ in number.
     """
     return [
-        labelled(name, image_files(require(root / "sequences" / name, LAYOUT)), read_boxes(truth), "uavdt")
+        labelled(name, image_files(require(root / "sequences" / name, LAYOUT).iterdir()), read_boxes(truth), "uavdt")
         for name, truth in label_files(root).items()
     ]

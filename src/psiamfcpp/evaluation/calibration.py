@@ -9,9 +9,10 @@ import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
-from psiamfcpp.datasets import Sequence, read_image
+from psiamfcpp.datasets import Sequence
 from psiamfcpp.errors import UserError
 from psiamfcpp.geometry import FloatArray, Image, centre, from_centre, overlap
+from psiamfcpp.images import read_image
 from psiamfcpp.spec import Calibration
 from psiamfcpp.tracking import Tracker
 from psiamfcpp.tracking.confidence import confidence

@@ -7,8 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from psiamfcpp.datasets import Sequence, read_image
+from psiamfcpp.datasets import Sequence
 from psiamfcpp.geometry import FloatArray
+from psiamfcpp.images import read_image
 from psiamfcpp.tracking import Tracker
 from psiamfcpp.tracking.confidence import State
 

@@ -15,9 +15,10 @@ from numpy.random import Generator
 from numpy.typing import NDArray
 
 from psiamfcpp.crop import crop, mean_colour, warp
-from psiamfcpp.datasets import Sequence, read_image
+from psiamfcpp.datasets import Sequence
 from psiamfcpp.errors import UserError
 from psiamfcpp.geometry import FloatArray, Image, centre, context_side
+from psiamfcpp.images import read_image
 from psiamfcpp.spec import STRIDE, TEMPLATE_SIZE, score_size
 from psiamfcpp.training import augment
 from psiamfcpp.training.options import PairOptions

@@ -14,10 +14,10 @@ import numpy as np
 
 from psiamfcpp.errors import UserError
 from psiamfcpp.geometry import Image
+from psiamfcpp.images import IMAGE_SUFFIXES, image_files, read_image
 from psiamfcpp.video.capture import FALLBACK_FPS, ended_early, open_capture, sane_count, sane_fps
 from psiamfcpp.video.live import LiveReader
 
-IMAGE_SUFFIXES = {".bmp", ".jpeg", ".jpg", ".png", ".tif", ".tiff", ".webp"}
 _URL_SCHEMES = ("rtsp://", "rtsps://", "http://", "https://")
 _KINDS = "a video, a camera number, an rtsp:// or http:// address, a folder of images or a glob of them"
 
@@ -92,14 +92,14 @@ def open_source(
         return _live(text, f"stream {_without_password(text)}", fps, on_event, reconnect_s, timeout_s)
     path = Path(text).expanduser()
     if path.is_dir():
-        return _images(_image_files(path.iterdir()), text, f"folder {text} holds no image", fps)
+        return _images(image_files(path.iterdir()), text, f"folder {text} holds no image", fps)
     if path.is_file():
         if path.suffix.lower() in IMAGE_SUFFIXES:
             return _images([path], text, "", fps)
         return _video(path, text, fps)
     if glob.has_magic(text):
         found = (Path(p) for p in glob.glob(str(path), recursive=True))  # noqa: PTH207 - the pattern may be absolute
-        return _images(_image_files(found), text, f"{text} matches no image", fps)
+        return _images(image_files(found), text, f"{text} matches no image", fps)
     raise UserError(f"{text} does not exist: give {_KINDS}")
 
 
@@ -156,7 +156,7 @@ def _images(paths: list[Path], name: str, none: str, fps: float | None) -> Sourc
 def _image_frames(paths: list[Path]) -> Iterator[Image]:
     size: tuple[int, int] | None = None
     for path in paths:
-        frame = _read_image(path)
+        frame = read_image(path)
         height, width = frame.shape[:2]
         if size is None:
             size = (width, height)
@@ -165,30 +165,6 @@ def _image_frames(paths: list[Path]) -> Iterator[Image]:
                 f"image {path} is {width}x{height}, those before it {size[0]}x{size[1]}: make them one size"
             )
         yield frame
-
-
-def _read_image(path: Path) -> Image:
-    try:
-        # imread cannot open every name on every system
-        data = np.fromfile(path, dtype=np.uint8)
-        image = cv2.imdecode(data, cv2.IMREAD_COLOR) if data.size else None
-    except (OSError, cv2.error):
-        image = None
-    if image is None:
-        raise UserError(f"image {path} cannot be read: replace or remove it")
-    return np.asarray(image, dtype=np.uint8)
-
-
-def _image_files(paths: Iterator[Path]) -> list[Path]:
-    # what a system leaves behind beside images ("._1.jpg") bears their suffix too
-    found = [p for p in paths if p.suffix.lower() in IMAGE_SUFFIXES and not p.name.startswith(".") and p.is_file()]
-    return sorted(found, key=_natural_order)
-
-
-def _natural_order(path: Path) -> list[int | str]:
-    """A key that sorts ``2.jpg`` before ``10.jpg``."""
-    # every second part is a number, so that like meets like
-    return [int(part) if i % 2 else part for i, part in enumerate(re.split(r"(\d+)", str(path)))]
 
 
 def _without_password(url: str) -> str:
