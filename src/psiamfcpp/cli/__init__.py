@@ -30,6 +30,9 @@ COMMANDS = {
     "import": "convert an official SiamFC++ checkpoint",
 }
 
+# What only the extra `train` installs.
+_OPTIONAL = ("matplotlib", "safetensors", "torch")
+
 
 def main(args: list[str] | None = None) -> int:
     """Run a command.
@@ -53,6 +56,11 @@ def main(args: list[str] | None = None) -> int:
         return 0
     except UserError as error:
         print(f"psiamfcpp: {' '.join(str(error).split())}", file=sys.stderr)
+        return 2
+    except ModuleNotFoundError as error:
+        if error.name not in _OPTIONAL:
+            raise
+        print(f"psiamfcpp: this needs {error.name}: pip install 'psiamfcpp[train]'", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
         print("psiamfcpp: interrupted", file=sys.stderr)
