@@ -57,4 +57,7 @@ def calibrate(
     print(f"{rates.clips} clips: {rates.found_frames} frames with the target found, {rates.absent_frames} without it")
     print(f"lost limit {calibration.lost_below:.3f}: hits {rates.hit:.3f}, false alarms {rates.false_alarm:.3f}")
     print(f"unsure limit {calibration.unsure_below:.3f}: {rates.unsure:.3f} of the frames with the target found")
-    print(f"regain limit {calibration.regain_above:.3f}: {rates.false_regain:.3f} of the frames without the target")
+    print(
+        f"regain limit {calibration.regain_above:.3f}: {rates.regain:.3f} of the frames with the target found, "
+        f"{rates.false_regain:.3f} of those without it"
+    )

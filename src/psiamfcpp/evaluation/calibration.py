@@ -20,7 +20,7 @@ from psiamfcpp.tracking.procedure import Target
 
 # Shares of frames with the target found that may be called unsure, or doubted; and of frames without the target that
 # may be taken for it when a lost one is looked for.
-UNSURE_SHARE, DOUBT_SHARE, FALSE_REGAIN_SHARE = 0.15, 0.05, 0.02
+UNSURE_SHARE, DOUBT_SHARE, FALSE_REGAIN_SHARE = 0.15, 0.05, 0.005
 _FOUND_OVERLAP = 0.4
 _FRAMES_A_CLIP = 16
 
@@ -52,7 +52,9 @@ class Rates:
     unsure: float
     """share of single frames with the target found whose confidence is under ``unsure_below``"""
     false_regain: float
-    """share of single frames without the target whose confidence is above ``regain_above``"""
+    """share of single frames without the target whose confidence reaches ``regain_above``"""
+    regain: float
+    """share of single frames with the target found whose confidence reaches ``regain_above``"""
     clips: int
     found_frames: int
     absent_frames: int
@@ -126,7 +128,7 @@ def fit(looks: Looks) -> Calibration:
 def cross_rates(looks: Looks) -> Rates:
     """Rates of limits fitted on the even clips and judged on the odd ones, and the other way round."""
     parts = [looks.clip % 2 == side for side in (0, 1)]
-    counts = np.zeros(4)
+    counts = np.zeros(5)
     for own, other in (parts, parts[::-1]):
         calibration, judged = fit(_rows(looks, own)), _rows(looks, other)
         values = confidences(judged, calibration)
@@ -135,10 +137,11 @@ def cross_rates(looks: Looks) -> Rates:
             (values[judged.found] < calibration.lost_below).sum(),
             (values[judged.found] < calibration.unsure_below).sum(),
             (values[judged.absent] >= calibration.regain_above).sum(),
+            (values[judged.found] >= calibration.regain_above).sum(),
         ]
     found, absent = int(looks.found.sum()), int(looks.absent.sum())
-    hit, false_alarm, unsure, regain = (float(c) for c in counts / [absent, found, found, absent])
-    return Rates(hit, false_alarm, unsure, regain, len(np.unique(looks.clip)), found, absent)
+    shares = [float(c) for c in counts / [absent, found, found, absent, found]]
+    return Rates(*shares, len(np.unique(looks.clip)), found, absent)
 
 
 def confidences(looks: Looks, calibration: Calibration) -> FloatArray:
