@@ -92,38 +92,23 @@ class PairSampler:
         return target, row, True
 
     def _crops(self, target: _Target, first: int, other: _Target, row: int, present: bool, rng: Generator) -> Pair:
-        o = self.options
+        """Both crops, changed as the options say, and where the target lies in the second."""
+        strength, size = self.options.augmentation, self.options.search_size
         z_frame, z_box = target.at(first)
         x_frame, x_box = other.at(row)
-        flip = -1.0 if rng.random() < 0.5 and o.augmentation else 1.0
-        z_image, x_image = self._images.get(z_frame), self._images.get(x_frame)
-        shift = rng.normal(0, 2.0, 2) * o.augmentation
-        z_jitter = Jitter(shift[0], shift[1], math.exp(rng.uniform(-0.06, 0.06) * o.augmentation), flip)
-        z_map = crop_map(z_box, TEMPLATE_SIZE, z_jitter)
-        template = self._show(z_image, z_map, TEMPLATE_SIZE, rng)
-
-        turned = rng.random() < (0.3 if target.is_clip else 0.5)
-        half = o.search_size / 2
-        reach = min(o.shift * half, (score_size(o.search_size) + 1) / 2 * STRIDE)
-        shift = rng.uniform(-reach, reach, 2)
-        jitter = Jitter(
-            shift[0],
-            shift[1],
-            math.exp(rng.uniform(-1, 1) * math.log1p(o.scale)),
-            flip,
-            float(rng.normal(0, 0.22)) * turned * o.augmentation,
-            math.exp(rng.uniform(-0.12, 0.12) * o.augmentation),
-        )
-        x_map = crop_map(x_box, o.search_size, jitter)
-        search = self._show(x_image, x_map, o.search_size, rng)
+        flip = -1.0 if rng.random() < 0.5 and strength else 1.0
+        z_map = crop_map(z_box, TEMPLATE_SIZE, _template_jitter(strength, flip, rng))
+        template = self._show(self._images.get(z_frame), z_map, TEMPLATE_SIZE, rng)
+        x_map = crop_map(x_box, size, _search_jitter(self.options, target.is_clip, flip, rng))
+        search = self._show(self._images.get(x_frame), x_map, size, rng)
         corners = box_in_crop(target.at(row)[1] if present else x_box, x_map)
-        if o.augmentation:
-            if rng.random() < 0.2 * o.augmentation:
-                search = augment.transplant(search, corners, self._backdrop(o.search_size, rng))
-            if rng.random() < 0.12 * o.augmentation:
+        if strength:
+            if rng.random() < 0.2 * strength:
+                search = augment.transplant(search, corners, self._backdrop(size, rng))
+            if rng.random() < 0.12 * strength:
                 search = augment.occlude(search, corners, rng)
-            template = augment.photometric(template, rng, 0.6 * o.augmentation)
-            search = augment.photometric(search, rng, o.augmentation)
+            template = augment.photometric(template, rng, 0.6 * strength)
+            search = augment.photometric(search, rng, strength)
             if rng.random() < 0.08:
                 template, search = augment.grey(template), augment.grey(search)
         return Pair(template, search, corners, present)
@@ -209,6 +194,27 @@ class Jitter:
     """turn, radians"""
     aspect: float = 1.0
     """factor on the width, divided from the height"""
+
+
+def _template_jitter(strength: float, flip: float, rng: Generator) -> Jitter:
+    """A little inexactness, as of a box drawn by hand."""
+    dx, dy = rng.normal(0, 2.0, 2) * strength
+    return Jitter(dx, dy, math.exp(rng.uniform(-0.06, 0.06) * strength), flip)
+
+
+def _search_jitter(options: PairOptions, is_clip: bool, flip: float, rng: Generator) -> Jitter:
+    """Shift within the reach of the score map, and scale; turn and aspect mostly where the picture itself is the same."""
+    turned = rng.random() < (0.3 if is_clip else 0.5)
+    reach = min(options.shift * options.search_size / 2, (score_size(options.search_size) + 1) / 2 * STRIDE)
+    dx, dy = rng.uniform(-reach, reach, 2)
+    return Jitter(
+        dx,
+        dy,
+        math.exp(rng.uniform(-1, 1) * math.log1p(options.scale)),
+        flip,
+        rng.normal(0, 0.22) * turned * options.augmentation,
+        math.exp(rng.uniform(-0.12, 0.12) * options.augmentation),
+    )
 
 
 def crop_map(box: FloatArray, size: int, jitter: Jitter) -> NDArray[np.float64]:
