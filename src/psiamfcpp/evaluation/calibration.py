@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -128,20 +129,27 @@ def fit(looks: Looks) -> Calibration:
 def cross_rates(looks: Looks) -> Rates:
     """Rates of limits fitted on the even clips and judged on the odd ones, and the other way round."""
     parts = [looks.clip % 2 == side for side in (0, 1)]
-    counts = np.zeros(5)
+    counts: Counter[str] = Counter()
     for own, other in (parts, parts[::-1]):
-        calibration, judged = fit(_rows(looks, own)), _rows(looks, other)
-        values = confidences(judged, calibration)
-        counts += [
-            (values[judged.absent] < calibration.lost_below).sum(),
-            (values[judged.found] < calibration.lost_below).sum(),
-            (values[judged.found] < calibration.unsure_below).sum(),
-            (values[judged.absent] >= calibration.regain_above).sum(),
-            (values[judged.found] >= calibration.regain_above).sum(),
-        ]
-    found, absent = int(looks.found.sum()), int(looks.absent.sum())
-    shares = [float(c) for c in counts / [absent, found, found, absent, found]]
-    return Rates(*shares, len(np.unique(looks.clip)), found, absent)
+        limits, judged = fit(_rows(looks, own)), _rows(looks, other)
+        values = confidences(judged, limits)
+        found, absent = values[judged.found], values[judged.absent]
+        counts["hit"] += int((absent < limits.lost_below).sum())
+        counts["false_alarm"] += int((found < limits.lost_below).sum())
+        counts["unsure"] += int((found < limits.unsure_below).sum())
+        counts["false_regain"] += int((absent >= limits.regain_above).sum())
+        counts["regain"] += int((found >= limits.regain_above).sum())
+    with_target, without = int(looks.found.sum()), int(looks.absent.sum())
+    return Rates(
+        hit=counts["hit"] / without,
+        false_alarm=counts["false_alarm"] / with_target,
+        unsure=counts["unsure"] / with_target,
+        false_regain=counts["false_regain"] / without,
+        regain=counts["regain"] / with_target,
+        clips=len(np.unique(looks.clip)),
+        found_frames=with_target,
+        absent_frames=without,
+    )
 
 
 def confidences(looks: Looks, calibration: Calibration) -> FloatArray:

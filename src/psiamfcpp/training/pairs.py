@@ -203,7 +203,7 @@ def _template_jitter(strength: float, flip: float, rng: Generator) -> Jitter:
 
 
 def _search_jitter(options: PairOptions, is_clip: bool, flip: float, rng: Generator) -> Jitter:
-    """Shift within the reach of the score map, and scale; turn and aspect mostly where the picture itself is the same."""
+    """Shift within the score map's reach, and scale; turn mostly where both crops show the same picture."""
     turned = rng.random() < (0.3 if is_clip else 0.5)
     reach = min(options.shift * options.search_size / 2, (score_size(options.search_size) + 1) / 2 * STRIDE)
     dx, dy = rng.uniform(-reach, reach, 2)
