@@ -67,9 +67,9 @@ class Calibration:
     unsure_below: float = 0.5
     """confidence under which the size is not updated"""
     lost_below: float = 0.2
-    """confidence under which the position is not updated either; a run of such frames means lost"""
+    """confidence under which a frame is doubted; a run of such frames means lost"""
     regain_above: float = 0.8
-    """confidence that takes a lost target up again"""
+    """confidence that takes a lost target up again elsewhere than where it was lost"""
 
 
 @dataclass(frozen=True)

@@ -13,6 +13,7 @@ from psiamfcpp.cli.output import notes, print_json
 from psiamfcpp.datasets.split import split
 from psiamfcpp.errors import UserError
 from psiamfcpp.evaluation.calibration import cross_rates, fit, gather
+from psiamfcpp.spec import TrackingConstants
 from psiamfcpp.tracking import Tracker
 
 
@@ -20,6 +21,7 @@ def calibrate(
     model: Annotated[str, tyro.conf.Positional],
     data: Path,
     output: Annotated[Path, tyro.conf.arg(aliases=["-o"])],
+    constants: TrackingConstants = TrackingConstants(),  # noqa: B008 - frozen
     held_out_every: int = 8,
     half: bool = False,
     json: bool = False,
@@ -30,6 +32,7 @@ def calibrate(
         model: name of a shipped model, or a model file.
         data: folder of sequences.
         output: checkpoint to write, .safetensors.
+        constants: of the tracking procedure, to calibrate with and to store.
         held_out_every: use only the clips that training with this value kept out; 1 uses all.
         half: store the weights in half precision, for sharing.
         json: print one JSON object.
@@ -42,11 +45,14 @@ def calibrate(
     if len(clips) < 2:
         raise UserError(f"{data} holds {len(clips)} clips kept out by {held_out_every}: at least two are needed")
     notes.print(f"looking at {len(clips)} clips")
-    looks = gather(Tracker(model, plain=True), clips)
+    tracker = Tracker(model, plain=True)
+    tracker.spec = dataclasses.replace(tracker.spec, constants=constants)
+    looks = gather(tracker, clips)
     calibration, rates = fit(looks), cross_rates(looks)
     network = load(model)
     network.spec = dataclasses.replace(
         network.spec,
+        constants=constants,
         calibration=calibration,
         provenance={**network.spec.provenance, "calibration": dataclasses.asdict(rates)},
     )

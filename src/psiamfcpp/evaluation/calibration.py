@@ -19,9 +19,10 @@ from psiamfcpp.tracking import Tracker
 from psiamfcpp.tracking.confidence import confidence
 from psiamfcpp.tracking.procedure import Target
 
-# Shares of frames with the target found that may be called unsure, or doubted; and of frames without the target that
-# may be taken for it when a lost one is looked for.
-UNSURE_SHARE, DOUBT_SHARE, FALSE_REGAIN_SHARE = 0.15, 0.05, 0.005
+# Of frames with the target found, the share that may be doubted; of frames without it, the share that may be taken
+# for it when a lost one is looked for. Unsure is what is more likely wrong than right.
+DOUBT_SHARE, FALSE_REGAIN_SHARE = 0.01, 0.005
+UNSURE_BELOW = 0.5
 _FOUND_OVERLAP = 0.4
 _FRAMES_A_CLIP = 16
 
@@ -119,7 +120,7 @@ def fit(looks: Looks) -> Calibration:
         bias,
         score_weight,
         contrast_weight,
-        unsure_below=float(np.quantile(values[looks.found], UNSURE_SHARE)),
+        unsure_below=max(lost_below, UNSURE_BELOW),
         lost_below=lost_below,
         # Where both kinds lie far apart, what would be doubted at once must still not be taken up again.
         regain_above=max(lost_below, float(np.quantile(values[looks.absent], 1 - FALSE_REGAIN_SHARE))),

@@ -36,13 +36,19 @@ class StateMachine:
         self._doubtful = 0
         self.state: State = "tracking"
 
-    def step(self, value: float) -> State:
-        """Take the confidence of one frame; the state that follows from it."""
+    def step(self, value: float, elsewhere: bool = False) -> State:
+        """Take the confidence of one frame; the state that follows from it.
+
+        Args:
+            value: the confidence, 0..1.
+            elsewhere: of a lost target, that another place than its last one was looked at: what is found there is
+                more likely something else, and must be surer.
+        """
         limits = self._calibration
         self._doubtful = self._doubtful + 1 if value < limits.lost_below else 0
-        if self.state == "lost":
-            self.state = "tracking" if value >= limits.regain_above else "lost"
-        elif self._doubtful >= LOST_AFTER:
+        if self.state == "lost" and value < (limits.regain_above if elsewhere else limits.lost_below):
+            return self.state
+        if self._doubtful >= LOST_AFTER:
             self.state = "lost"
         else:
             self.state = "unsure" if value < limits.unsure_below else "tracking"

@@ -128,11 +128,11 @@ class Tracker:
 
     def _judge(self, frame: Image, found: Estimate, value: float) -> Track:
         """Move as far as the confidence allows, and say what state that is."""
-        was_lost = self._states.state == "lost"
-        state = self._states.step(value)
+        elsewhere = self._lost_for > 0 and spiral(self._lost_for) != (0, 0)
+        state = self._states.step(value, elsewhere)
         if state == "lost":
             self._lost_for += 1
-        elif was_lost or value >= self.spec.calibration.lost_below:
+        else:
             rate = self.spec.constants.test_lr * found.penalty * found.score if state == "tracking" else 0.0
             self._move(found, rate, frame)
             self._lost_for = 0
