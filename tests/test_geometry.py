@@ -90,7 +90,7 @@ def test_centre_error() -> None:
         (0, 0, 100, 80),  # the whole frame
         (-9, -9, 20, 20),  # partly outside, its centre 0.5, 0.5 inside
         (99, 79, 1, 1),  # the last pixel
-        (0.25, 0.5, 2.5, 0.75),
+        (0.25, 0.5, 2.5, 1.75),
     ],
 )
 def test_boxes_that_can_be_tracked_come_back_as_they_are(box: Box) -> None:
@@ -109,6 +109,7 @@ def test_boxes_that_can_be_tracked_come_back_as_they_are(box: Box) -> None:
         ((), "is not four finite numbers"),
         ((10, 10, 0, 20), "box 10,10,0,20 holds no pixel"),
         ((10, 10, 20, -1), "holds no pixel"),
+        ((10, 10, 20, 0.75), "holds no pixel"),
         ((100, 10, 20, 20), r"lies outside the frame \(100x80\)"),  # centre 109.5
         ((10, 79, 2, 2), "lies outside the frame"),  # centre 79.5, the last row is 79
         ((99, 10, 2, 2), "lies outside the frame"),  # centre 99.5, the last column is 99

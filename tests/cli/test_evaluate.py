@@ -67,7 +67,7 @@ def test_evaluate_refuses(run: Run, tiny_model: Path, tmp_path: Path, blob_seque
     assert "holds no sequence" in run(*base, tmp_path).refused()
     root = blob_sequence("car1", PATH[:3])
     (root / "car1" / "img" / "0002.png").write_bytes(b"")
-    assert "0002.png cannot be decoded" in run(*base, root).refused()
+    assert "0002.png cannot be read" in run(*base, root).refused()
     (root / "car1" / "img" / "0002.png").unlink()
     assert "has 2 images but 3 boxes" in run(*base, root).refused()
     assert "unknown engine" in run(*base, root, "--engine", "steam").refused()

@@ -41,7 +41,7 @@ def test_a_tracker_serves_one_sequence_after_the_other(blob_engine: Any, blob_se
 def test_a_damaged_frame_is_named(blob_engine: Any, blob_sequence: Callable[..., Path]) -> None:
     (sequence,) = datasets.read("folder", blob_sequence("car1", BOXES))
     sequence.frames[3].write_bytes(b"no image")
-    with pytest.raises(UserError, match=r"0004\.png cannot be decoded"):
+    with pytest.raises(UserError, match=r"0004\.png cannot be read"):
         one_pass(Tracker(), sequence)
 
 

@@ -56,7 +56,7 @@ T, U, L = "tracking", "unsure", "lost"
         # one frame that is not doubted, though unsure, starts the count anew
         ([0.1] * 7 + [0.2] + [0.1] * 7, [U] * 15),
         ([0.3] * 30, [U] * 30),  # for ever unsure is not lost
-        ([0.1] * 8 + [0.5, 0.79, 0.8], [U] * 7 + [L, L, L, T]),  # taken up again by no less than 0.8
+        ([0.1] * 8 + [0.19, 0.2, 0.5], [U] * 7 + [L, L, U, T]),  # where it was lost, no doubt is enough
         # after that the count starts anew too
         ([0.1] * 8 + [0.8] + [0.1] * 8, [U] * 7 + [L, T] + [U] * 7 + [L]),
         ([0.1] * 40 + [0.9, 0.4, 0.9], [U] * 7 + [L] * 33 + [T, U, T]),
@@ -67,3 +67,10 @@ def test_states(values: list[float], states: list[str]) -> None:
     assert machine.state == "tracking"
     assert [machine.step(value) for value in values] == states
     assert machine.state == states[-1]
+
+
+def test_elsewhere_a_lost_target_is_taken_up_by_no_less_than_the_limit_for_that() -> None:
+    machine = StateMachine(Calibration(unsure_below=0.5, lost_below=0.2, regain_above=0.8))
+    for _ in range(LOST_AFTER):
+        machine.step(0.1)
+    assert [machine.step(value, elsewhere=True) for value in (0.3, 0.79, 0.8)] == [L, L, T]

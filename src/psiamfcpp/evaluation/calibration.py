@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -19,10 +20,10 @@ from psiamfcpp.tracking import Tracker
 from psiamfcpp.tracking.confidence import confidence
 from psiamfcpp.tracking.procedure import Target
 
-# Of frames with the target found, the share that may be doubted; of frames without it, the share that may be taken
-# for it when a lost one is looked for. Unsure is what is more likely wrong than right.
-DOUBT_SHARE, FALSE_REGAIN_SHARE = 0.01, 0.005
-UNSURE_BELOW = 0.5
+# Unsure is what is more likely wrong than right; doubted, what is wrong at odds of nineteen to one.
+UNSURE_BELOW, LOST_BELOW = 0.5, 0.05
+# Of single frames without the target, the share that may be taken for it when a lost one is looked for.
+FALSE_REGAIN_SHARE = 0.005
 _FOUND_OVERLAP = 0.4
 _FRAMES_A_CLIP = 16
 
@@ -99,7 +100,7 @@ def gather(tracker: Tracker, sequences: list[Sequence], seed: int = 0) -> Looks:
 
 
 def fit(looks: Looks) -> Calibration:
-    """Weights by logistic regression on found against absent, then limits from the shares above.
+    """Weights by logistic regression on found against absent, then the limits above.
 
     Raises:
         UserError: one of the two kinds is missing.
@@ -113,18 +114,11 @@ def fit(looks: Looks) -> Calibration:
     # Both kinds weigh the same: how often targets vanish is not known.
     weights = np.where(labels > 0, 0.5 / labels.sum(), 0.5 / (1 - labels).sum()) * len(labels)
     bias, score_weight, contrast_weight = _logistic(features, labels, weights)
-    calibration = Calibration(bias, score_weight, contrast_weight)
-    values = confidences(looks, calibration)
-    lost_below = float(np.quantile(values[looks.found], DOUBT_SHARE))
-    return Calibration(
-        bias,
-        score_weight,
-        contrast_weight,
-        unsure_below=max(lost_below, UNSURE_BELOW),
-        lost_below=lost_below,
-        # Where both kinds lie far apart, what would be doubted at once must still not be taken up again.
-        regain_above=max(lost_below, float(np.quantile(values[looks.absent], 1 - FALSE_REGAIN_SHARE))),
-    )
+    calibration = Calibration(bias, score_weight, contrast_weight, UNSURE_BELOW, LOST_BELOW)
+    absent = confidences(looks, calibration)[looks.absent]
+    # Where both kinds lie far apart, what would be doubted at once must still not be taken up again.
+    regain = max(UNSURE_BELOW, float(np.quantile(absent, 1 - FALSE_REGAIN_SHARE)))
+    return dataclasses.replace(calibration, regain_above=regain)
 
 
 def cross_rates(looks: Looks) -> Rates:

@@ -19,6 +19,8 @@ from psiamfcpp.zoo import DEFAULT_MODEL
 
 # Sides below this are not followed down, unless the target began smaller (the original's lower bound).
 _SMALLEST_SIDE = 10.0
+# The velocity is a running mean over some five frames, and holds for a second of video.
+_VELOCITY_RATE, _COAST_FRAMES = 0.2, 30
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,7 +28,7 @@ class Track:
     """The target in one frame."""
 
     box: Box
-    """``(x, y, w, h)``, pixels, 0-based; the last known one while lost"""
+    """``(x, y, w, h)``, pixels, 0-based; while lost the last known one, moved on for a while"""
     score: float
     """calibrated probability, 0..1, that the target is in the box; of the plain procedure, the network's own score"""
     state: State
@@ -85,6 +87,8 @@ class Tracker:
         self._fill = mean_colour(frame)
         self._states = StateMachine(self.spec.calibration)
         self._lost_for = 0
+        self._velocity = (0.0, 0.0)
+        self._coasted = 0
         side = round(context_side(w, h))
         size = self.spec.template_size
         self._kernels = self._engine.template(crop(frame, cx, cy, side, size, self._fill))
@@ -130,12 +134,18 @@ class Tracker:
         """Move as far as the confidence allows, and say what state that is."""
         elsewhere = self._lost_for > 0 and spiral(self._lost_for) != (0, 0)
         state = self._states.step(value, elsewhere)
-        if state == "lost":
-            self._lost_for += 1
+        self._lost_for = self._lost_for + 1 if state == "lost" else 0
+        if value < self.spec.calibration.lost_below or state == "lost":
+            self._coast(frame)
         else:
             rate = self.spec.constants.test_lr * found.penalty * found.score if state == "tracking" else 0.0
+            before = self._target
             self._move(found, rate, frame)
-            self._lost_for = 0
+            if self._coasted == 0:
+                vx, vy = self._velocity
+                dx, dy = self._target.cx - before.cx, self._target.cy - before.cy
+                self._velocity = (vx + _VELOCITY_RATE * (dx - vx), vy + _VELOCITY_RATE * (dy - vy))
+            self._coasted = 0
         return Track(self._box(), value, state)
 
     def _where_to_look(self, frame_shape: tuple[int, ...]) -> Target:
@@ -154,6 +164,15 @@ class Tracker:
 
     def _move(self, found: Estimate, rate: float, frame: Image) -> None:
         self._target = smooth(self._target, found, rate, frame.shape, self._smallest)
+
+    def _coast(self, frame: Image) -> None:
+        """Go on as the target moved when it was last seen: most that vanish do so behind something that they pass."""
+        self._coasted += 1
+        if self._coasted > _COAST_FRAMES:
+            return
+        t, (vx, vy) = self._target, self._velocity
+        height, width = frame.shape[:2]
+        self._target = Target(min(max(t.cx + vx, 0.0), width - 1.0), min(max(t.cy + vy, 0.0), height - 1.0), t.w, t.h)
 
     def _box(self) -> Box:
         return from_centre(self._target.cx, self._target.cy, self._target.w, self._target.h)
