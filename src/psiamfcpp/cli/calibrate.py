@@ -32,7 +32,7 @@ def calibrate(
         model: name of a shipped model, or a model file.
         data: folder of sequences.
         output: checkpoint to write, .safetensors.
-        constants: of the tracking procedure, to calibrate with and to store.
+        constants: of the tracking procedure, to calibrate with and to store; the authors' where not given.
         held_out_every: use only the clips that training with this value kept out; 1 uses all.
         half: store the weights in half precision, for sharing.
         json: print one JSON object.

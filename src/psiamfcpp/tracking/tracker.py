@@ -111,7 +111,8 @@ class Tracker:
         if self._plain:
             self._move(found, self.spec.constants.test_lr * found.penalty * found.score, frame)
             return Track(self._box(), found.score, "tracking")
-        return self._judge(frame, found, confidence(found.score, apart, self.spec.calibration))
+        value = confidence(found.score, apart, self.spec.calibration)
+        return self._judge(frame, found, value, elsewhere=around != self._target)
 
     def look(self, frame: Image, around: Target) -> tuple[Estimate, float]:
         """What one search region says; the tracker itself stays as it is.
@@ -130,9 +131,8 @@ class Tracker:
         found = estimate(scores, boxes, around, spec.search_size, spec.template_size, spec.constants, self._window)
         return found, contrast(scores, boxes, found.cell)
 
-    def _judge(self, frame: Image, found: Estimate, value: float) -> Track:
+    def _judge(self, frame: Image, found: Estimate, value: float, elsewhere: bool) -> Track:
         """Move as far as the confidence allows, and say what state that is."""
-        elsewhere = self._lost_for > 0 and spiral(self._lost_for) != (0, 0)
         state = self._states.step(value, elsewhere)
         self._lost_for = self._lost_for + 1 if state == "lost" else 0
         if value < self.spec.calibration.lost_below or state == "lost":

@@ -97,6 +97,7 @@ def train(
     )
     module: nn.Module = PairLoss(model, options.losses)
     free: frozenset[str] | None = None
+    bf16 = run.bf16 and bf16_pays(device)
     clock, sums = time.perf_counter(), []
     steps = options.schedule.steps
     for step, batch in enumerate(
@@ -107,7 +108,7 @@ def train(
             module = _thaw(model, free, options.losses, ranks)
         for group in optimizer.param_groups:
             group["lr"] = options.schedule.rate(step) * group["factor"]
-        with torch.autocast(device.type, torch.bfloat16, enabled=run.bf16 and bf16_pays(device)):
+        with torch.autocast(device.type, torch.bfloat16, enabled=bf16):
             parts = module(batch.to(device))
         parts["total"].backward()
         torch.nn.utils.clip_grad_norm_(model.parameters(), options.clip)
@@ -127,9 +128,7 @@ def train(
             }
             if validation and (done % run.validate_every == 0 or done == steps):
                 with _weights(model, mean):
-                    row["validation"] = dataclasses.asdict(
-                        pair_score(model, validation, run.bf16 and bf16_pays(device))
-                    )
+                    row["validation"] = dataclasses.asdict(pair_score(model, validation, bf16))
             sums, clock = [], time.perf_counter()
             with (output / LOG_FILE).open("a") as log:
                 log.write(json.dumps(row) + "\n")
