@@ -215,6 +215,39 @@ def test_clips_get_their_share(scenes: list[Sequence]):
     assert clips / 200 == pytest.approx(0.8, abs=0.1)
 
 
+def test_distractors_stand_beside_the_target_and_leave_it_alone(draw):
+    """Large plain pictures, so that other colours come from distractors; those of the augmentation are off."""
+    box = (280.0, 280.0, 32.0, 32.0)
+    sampler = PairSampler([draw([(box, colour(i))], size=(600, 600)) for i in (0, 4)], PLAIN, cache_bytes=CACHE)
+    rng = np.random.default_rng(0)
+    shown = 0
+    for i in range(40):
+        pair = sampler.pair(i)
+        target = sampler._kinds[0].draw(np.random.default_rng(i))
+        search = sampler._with_distractor(pair.search, pair.corners, target, rng)
+        x0, y0, x1, y1 = (round(v) for v in pair.corners)
+        inner = slice(y0 + 6, y1 - 6), slice(x0 + 6, x1 - 6)
+        assert np.array_equal(search[inner], pair.search[inner])
+        away = search.copy()
+        away[max(0, y0 - 8) : y1 + 8, max(0, x0 - 8) : x1 + 8] = 0
+        shown += coloured(away, colour(0)).any() or coloured(away, colour(4)).any()
+    assert 5 < shown < 35, "not in every crop: some would cover the target, or be the target itself"
+
+
+def test_some_targets_turn_far_and_none_without_augmentation(draw):
+    """Of a bar four times as long as wide, the box of a turned one is wider."""
+    clip = draw(*([((260.0, 220.0, 30.0, 120.0), colour(0))] for _ in range(2)), size=(600, 600))
+
+    def shapes(options: PairOptions) -> list[float]:
+        sampler = PairSampler([clip], options, cache_bytes=CACHE)
+        corners = [sampler.pair(i).corners for i in range(150)]
+        return [(x1 - x0) / (y1 - y0) for x0, y0, x1, y1 in corners]
+
+    assert np.allclose(shapes(PLAIN), 29 / 119)
+    turned = np.mean(np.array(shapes(dataclasses.replace(PLAIN, augmentation=1.0))) > 0.6)
+    assert 0.01 < turned < 0.1
+
+
 # ---- negative pairs
 
 

@@ -83,3 +83,15 @@ def test_two_processes_share_the_work(clip_folder: Path, init: Path, tmp_path: P
     trained, before = load(output / "model.safetensors"), load(init)
     assert not torch.equal(trained.backbone.conv5.conv.weight, before.backbone.conv5.conv.weight)
     assert torch.equal(trained.backbone.conv1.conv.weight, before.backbone.conv1.conv.weight)
+
+
+def test_a_shipped_model_is_a_start_by_its_name(clip_folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    output = tmp_path / "run"
+    assert main(arguments(clip_folder, Path("siamfcpp-alexnet"), output, 1, "--lr", "1e-9")) == 0
+    stages = load("siamfcpp-alexnet").spec.provenance["training"]
+    assert [s["init"] for s in load(output / "model.safetensors").spec.provenance["training"]] == [
+        *(s["init"] for s in stages),
+        "siamfcpp-alexnet",
+    ]
+    assert main(arguments(clip_folder, Path("siamfcpp-alexnt"), tmp_path / "other", 1)) == 2
+    assert "did you mean 'siamfcpp-alexnet'?" in capsys.readouterr().err

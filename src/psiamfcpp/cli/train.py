@@ -11,9 +11,7 @@ import tyro
 
 from psiamfcpp import __version__, datasets
 from psiamfcpp.cli.output import notes
-from psiamfcpp.datasets import Sequence
 from psiamfcpp.datasets.split import split
-from psiamfcpp.errors import UserError
 from psiamfcpp.training.options import RunOptions, TrainOptions
 
 if TYPE_CHECKING:
@@ -35,7 +33,7 @@ def train(
 
     Args:
         data: training sets, each LAYOUT:FOLDER (an unknown layout lists the known ones).
-        init: start: a checkpoint of ours, or torchvision's AlexNet features (.safetensors).
+        init: start: a checkpoint of ours, a shipped model's name, or torchvision's AlexNet features (.safetensors).
         output: folder of the run: model.safetensors, state.pt, log.jsonl, curve.png.
         options: what decides the result.
         run: how it is carried out.
@@ -48,7 +46,7 @@ def train(
     from psiamfcpp.training.loop import LOG_FILE
     from psiamfcpp.training.loop import train as run_training
 
-    sequences = [s for entry in data for s in _read(entry)]
+    sequences = [s for entry in data for s in datasets.read_entry(entry)]
     training, held_out = split(sequences, held_out_every)
     torch.manual_seed(options.seed)
     model = _start(init, options.seed)
@@ -71,23 +69,18 @@ def train(
             draw_curve(output / LOG_FILE, output / "curve.png")
 
 
-def _read(entry: str) -> list[Sequence]:
-    kind, colon, folder = entry.partition(":")
-    if not colon:
-        raise UserError(f"data {entry!r} is not LAYOUT:FOLDER; layouts are {', '.join(datasets.READERS)}")
-    return datasets.read(kind, Path(folder))
-
-
 def _start(init: Path, seed: int) -> SiamFCpp:
     """The network to begin with, from a checkpoint or from ImageNet features."""
     from psiamfcpp.models import SiamFCpp, load
     from psiamfcpp.models.alexnet import init_backbone, is_alexnet
     from psiamfcpp.models.initial import init_neck_and_head
+    from psiamfcpp.zoo import weights_path
 
-    if not is_alexnet(init):
-        return load(init)
+    path = weights_path(init)
+    if not is_alexnet(path):
+        return load(path)
     model = SiamFCpp()
-    init_backbone(model, init, seed)
+    init_backbone(model, path, seed)
     init_neck_and_head(model, seed)
     return model
 
@@ -99,7 +92,7 @@ def _provenance(
     stage = {
         "init": init.name,
         "data": [f"{kind}:{Path(folder).name}" for kind, _, folder in (entry.partition(":") for entry in data)],
-        "options": dataclasses.asdict(options),
+        "options": _described(options),
         "version": __version__,
     }
     if note:
@@ -107,11 +100,21 @@ def _provenance(
     return {**before, "training": [*before.get("training", []), stage]}
 
 
+def _described(options: TrainOptions) -> dict[str, Any]:
+    """The options; a teacher's file is named without its folder, and not at all where there is none."""
+    described = dataclasses.asdict(options)
+    teacher = described.pop("teacher")
+    if options.teacher.teacher:
+        described["teacher"] = {**teacher, "teacher": Path(options.teacher.teacher).name}
+    return described
+
+
 def _line(row: dict[str, Any], steps: int) -> str:
     text = (
         f"step {row['step']}/{steps}  loss {row['total']:.3f} (cls {row['cls']:.3f}, centre {row['centerness']:.3f}, "
     )
-    text += f"iou {row['iou']:.3f})  {row['pairs_per_s']:.1f} pairs/s"
+    text += f"iou {row['iou']:.3f}" + (f", teacher {row['teacher']:.3f}" if "teacher" in row else "")
+    text += f")  {row['pairs_per_s']:.1f} pairs/s"
     if "validation" in row:
         v = row["validation"]
         text += f"  held-out pairs: {v['within8']:.3f} within 8 px, {v['within16']:.3f} within 16, "

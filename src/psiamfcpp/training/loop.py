@@ -23,9 +23,10 @@ from psiamfcpp.models.checkpoint import save
 from psiamfcpp.models.network import SiamFCpp
 from psiamfcpp.training.batches import Batch, numbered_batches
 from psiamfcpp.training.losses import losses
-from psiamfcpp.training.options import LossWeights, RunOptions, TrainOptions
+from psiamfcpp.training.options import LossWeights, RunOptions, TeacherOptions, TrainOptions
 from psiamfcpp.training.pairs import PairSampler
 from psiamfcpp.training.targets import assign
+from psiamfcpp.training.teacher import Teacher, open_teacher, teacher_loss
 from psiamfcpp.training.validation import held_out_batches, pair_score
 
 STATE_FILE = "state.pt"
@@ -36,16 +37,24 @@ MODEL_FILE = "model.safetensors"
 class PairLoss(nn.Module):
     """The network with its losses in one forward pass, which is the form that DDP wraps."""
 
-    def __init__(self, model: SiamFCpp, weights: LossWeights):
+    def __init__(
+        self, model: SiamFCpp, weights: LossWeights, teacher: Teacher | None = None, teacher_weight: float = 1.0
+    ):
         super().__init__()
         self.model = model
         self._weights = weights
+        self._teacher = teacher
+        self._teacher_weight = teacher_weight
 
     def forward(self, batch: Batch) -> dict[str, Tensor]:
         """The losses of a batch."""
         maps = self.model.maps(batch.search_input(), self.model.template(batch.template_input()))
         targets = assign(batch.corners, batch.present, batch.search.shape[1], maps[0].shape[1])
-        return losses(maps, targets, self._weights)
+        parts = losses(maps, targets, self._weights)
+        if self._teacher:
+            parts["teacher"] = teacher_loss(maps, self._teacher(batch), targets.positive)
+            parts["total"] = parts["total"] + self._teacher_weight * parts["teacher"]
+        return parts
 
 
 def train(
@@ -73,7 +82,7 @@ def train(
         Each row of the log, as it is written.
 
     Raises:
-        UserError: the folder holds a run with other options, or cannot be written.
+        UserError: the folder holds a run with other options, or cannot be written, or the teacher cannot be read.
     """
     _keep_freed_memory()
     rank, ranks = _join_processes()
@@ -81,6 +90,7 @@ def train(
         torch.device("cuda", int(os.environ.get("LOCAL_RANK", 0))) if torch.cuda.is_available() else torch.device("cpu")
     )
     model.to(device).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+    teacher = open_teacher(options.teacher.teacher, device) if options.teacher.teacher else None
     try:
         output.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -105,7 +115,7 @@ def train(
     ):
         if options.schedule.free(step) != free:
             free = options.schedule.free(step)
-            module = _thaw(model, free, options.losses, ranks)
+            module = _thaw(model, free, options, teacher, ranks)
         for group in optimizer.param_groups:
             group["lr"] = options.schedule.rate(step) * group["factor"]
         with torch.autocast(device.type, torch.bfloat16, enabled=bf16):
@@ -186,7 +196,9 @@ def _optimizer(model: SiamFCpp, options: TrainOptions) -> torch.optim.Optimizer:
     return torch.optim.AdamW(listed, lr=options.schedule.lr)
 
 
-def _thaw(model: SiamFCpp, free: frozenset[str], weights: LossWeights, ranks: int) -> nn.Module:
+def _thaw(
+    model: SiamFCpp, free: frozenset[str], options: TrainOptions, teacher: Teacher | None, ranks: int
+) -> nn.Module:
     """Let gradients into the free backbone layers only; DDP must be wrapped anew when that set changes.
 
     The backbone's BatchNorm keeps its statistics throughout: it starts as the identity, and batches are small.
@@ -195,7 +207,7 @@ def _thaw(model: SiamFCpp, free: frozenset[str], weights: LossWeights, ranks: in
     model.backbone.eval()
     for name, layer in model.backbone.named_children():
         layer.requires_grad_(name in free)
-    loss = PairLoss(model, weights)
+    loss = PairLoss(model, options.losses, teacher, options.teacher.teacher_weight)
     return nn.parallel.DistributedDataParallel(loss) if ranks > 1 else loss
 
 
@@ -258,7 +270,9 @@ def _resume(
     except Exception as error:  # a damaged pickle can fail in any way
         reason = (str(error) or type(error).__name__).splitlines()[0]
         raise UserError(f"{path} cannot be read ({reason}): remove it to begin the run anew") from None
-    if json.loads(state["options"]) != json.loads(json.dumps(dataclasses.asdict(options))):
+    # Runs begun before networks could have teachers say nothing of them.
+    before = {"teacher": dataclasses.asdict(TeacherOptions()), **json.loads(state["options"])}
+    if before != json.loads(json.dumps(dataclasses.asdict(options))):
         raise UserError(f"{path} belongs to a run with other options: use another output folder, or remove it")
     if {k: v.shape for k, v in state["model"].items()} != {k: v.shape for k, v in model.state_dict().items()}:
         raise UserError(f"{path} belongs to a network of other widths: use another output folder, or remove it")

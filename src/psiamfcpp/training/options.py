@@ -27,7 +27,7 @@ class PairOptions:
     clip_share: float = 0.5
     """share of pairs from clips where there are both clips and photographs"""
     augmentation: float = 1.0
-    """strength of colour, blur, grey, rotation and occlusion; 0 is none"""
+    """strength of colour, blur, grey, rotation, occlusion and what is pasted in; 0 is none"""
 
     def __post_init__(self) -> None:
         score_size(self.search_size)
@@ -93,12 +93,28 @@ class LossWeights:
 
 
 @dataclass(frozen=True)
+class TeacherOptions:
+    """A network to learn from, beside the labels."""
+
+    teacher: str = ""
+    """model whose scores and boxes to learn as well: a shipped model's name, or a file; for a pruned network normally
+    the one that it was cut from"""
+    teacher_weight: float = 1.0
+    """weight of what the teacher says against the labels' losses"""
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.teacher_weight < math.inf:
+            raise UserError(f"teacher-weight is {self.teacher_weight:g}: it must be a number from 0 up")
+
+
+@dataclass(frozen=True)
 class TrainOptions:
     """Everything that decides the result of a run, apart from data and initial weights."""
 
     pairs: PairOptions = PairOptions()
     schedule: Schedule = field(default_factory=Schedule)
     losses: LossWeights = LossWeights()
+    teacher: TeacherOptions = TeacherOptions()
     batch: int = 32
     """pairs a step and process"""
     optimizer: Literal["adamw", "sgd"] = "adamw"

@@ -99,12 +99,16 @@ class PairSampler:
         flip = -1.0 if rng.random() < 0.5 and strength else 1.0
         z_map = crop_map(z_box, TEMPLATE_SIZE, _template_jitter(strength, flip, rng))
         template = self._show(self._images.get(z_frame), z_map, TEMPLATE_SIZE, rng)
+        if rng.random() < 0.1 * strength:
+            template = augment.transplant(template, box_in_crop(z_box, z_map), self._backdrop(TEMPLATE_SIZE, rng))
         x_map = crop_map(x_box, size, _search_jitter(self.options, target.is_clip, flip, rng))
         search = self._show(self._images.get(x_frame), x_map, size, rng)
         corners = box_in_crop(target.at(row)[1] if present else x_box, x_map)
         if strength:
             if rng.random() < 0.2 * strength:
                 search = augment.transplant(search, corners, self._backdrop(size, rng))
+            if rng.random() < 0.25 * strength:
+                search = self._with_distractor(search, corners, target, rng)
             if rng.random() < 0.12 * strength:
                 search = augment.occlude(search, corners, rng)
             template = augment.photometric(template, rng, 0.6 * strength)
@@ -125,6 +129,22 @@ class PairSampler:
         if inside.mean() > 0.85:
             return shown
         return np.where(inside[..., None], shown, self._backdrop(size, rng))
+
+    def _with_distractor(self, search: Image, corners: Corners, target: _Target, rng: Generator) -> Image:
+        """The search crop with one more object in it, half the time of the target's own source; clear of the target."""
+        kind = self._kinds[0 if target.is_clip else -1]
+        other = kind.draw(rng, target.sequence.source if rng.random() < 0.5 else None)
+        if other.sequence.frames[0] == target.sequence.frames[0]:
+            return search
+        frame, box = other.at(int(rng.choice(other.rows)))
+        size = search.shape[0]
+        dx, dy = rng.uniform(-size / 2, size / 2, 2)
+        to_frame = crop_map(box, size, Jitter(dx, dy, math.exp(rng.uniform(-0.4, 0.4)), rng.choice([-1.0, 1.0])))
+        x0, y0, x1, y1 = place = box_in_crop(box, to_frame)
+        if x0 < corners[2] and x1 > corners[0] and y0 < corners[3] and y1 > corners[1]:
+            return search
+        image = self._images.get(frame)
+        return augment.transplant(warp(image, to_frame, size, mean_colour(image)), place, search)
 
     def _backdrop(self, size: int, rng: Generator) -> Image:
         """A random square of a random picture."""
@@ -204,7 +224,9 @@ def _template_jitter(strength: float, flip: float, rng: Generator) -> Jitter:
 
 def _search_jitter(options: PairOptions, is_clip: bool, flip: float, rng: Generator) -> Jitter:
     """Shift within the score map's reach, and scale; turn mostly where both crops show the same picture."""
+    # From above, targets turn as far as they like; most other changes of a camera's roll are small.
     turned = rng.random() < (0.3 if is_clip else 0.5)
+    turn = rng.uniform(-np.pi / 2, np.pi / 2) if rng.random() < 0.2 else rng.normal(0, 0.22)
     reach = min(options.shift * options.search_size / 2, (score_size(options.search_size) + 1) / 2 * STRIDE)
     dx, dy = rng.uniform(-reach, reach, 2)
     return Jitter(
@@ -212,7 +234,7 @@ def _search_jitter(options: PairOptions, is_clip: bool, flip: float, rng: Genera
         dy,
         math.exp(rng.uniform(-1, 1) * math.log1p(options.scale)),
         flip,
-        rng.normal(0, 0.22) * turned * options.augmentation,
+        turn * turned * options.augmentation,
         math.exp(rng.uniform(-0.12, 0.12) * options.augmentation),
     )
 

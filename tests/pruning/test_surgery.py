@@ -1,0 +1,164 @@
+"""What is left after pruning computes what it computed before."""
+
+from __future__ import annotations
+
+from types import ModuleType
+
+import pytest
+import torch
+from torch import nn
+
+from psiamfcpp.errors import UserError
+from psiamfcpp.models import SiamFCpp
+from psiamfcpp.models.cost import count_parameters
+from psiamfcpp.pruning import Plan, plan, prune, rank
+from psiamfcpp.pruning.groups import find_groups, siamfcpp_groups
+from psiamfcpp.pruning.surgery import prune_siamfcpp
+from psiamfcpp.spec import FULL_WIDTHS, Calibration, ModelSpec
+
+from .conftest import WIDTHS, randomize, silence
+
+Pair = tuple[torch.Tensor, torch.Tensor]
+
+
+def some(widths: dict[str, int], seed: int = 0) -> Plan:
+    """About half of each group's filters."""
+    generator = torch.Generator().manual_seed(seed)
+    return Plan({n: torch.randperm(w, generator=generator)[: max(1, w // 2)].tolist() for n, w in widths.items()})
+
+
+def run(model: nn.Module, *inputs: torch.Tensor) -> tuple[torch.Tensor, ...]:
+    with torch.no_grad():
+        out = model(*inputs)
+    return out if isinstance(out, tuple) else (out,)
+
+
+def test_keeping_everything_changes_no_bit(siamese: SiamFCpp, pair: Pair) -> None:
+    whole = Plan({name: list(range(width)) for name, width in WIDTHS.items()})
+    pruned = prune_siamfcpp(siamese, whole)
+    assert pruned is not siamese
+    assert pruned.spec == siamese.spec
+    state = pruned.state_dict()
+    assert state.keys() == siamese.state_dict().keys()
+    assert all(torch.equal(value, state[key]) for key, value in siamese.state_dict().items())
+    assert all(torch.equal(a, b) for a, b in zip(run(siamese, *pair), run(pruned, *pair), strict=True))
+
+
+@pytest.mark.parametrize("group", [*FULL_WIDTHS, "all"])
+def test_a_pruned_network_is_the_full_one_with_those_filters_silenced(
+    siamese: SiamFCpp, pair: Pair, group: str
+) -> None:
+    groups = siamfcpp_groups(WIDTHS)
+    chosen = some(WIDTHS if group == "all" else {group: WIDTHS[group]})
+    pruned = prune_siamfcpp(siamese, chosen)
+    assert pruned.spec.widths == {**WIDTHS, **chosen.widths}
+    before = run(siamese, *pair)
+    silence(siamese, chosen, groups)
+    wanted, found = run(siamese, *pair), run(pruned, *pair)
+    # Silencing is felt, or this would show nothing.
+    assert max((a - b).abs().max() for a, b in zip(before, wanted, strict=True)) > 1e-4
+    torch.testing.assert_close(found[0], wanted[0], atol=1e-5, rtol=1e-4)
+    torch.testing.assert_close(found[1], wanted[1], atol=1e-2, rtol=1e-4)
+
+
+def test_filters_whose_maps_are_zero_go_without_a_trace(siamese: SiamFCpp, pair: Pair) -> None:
+    dead = {
+        "backbone.conv1": 1,
+        "backbone.conv3": 0,
+        "head.cls2": 3,
+        "head.reg3": 2,
+        "neck.cls": 1,
+        "backbone.conv5": 2,
+    }
+    with torch.no_grad():
+        for name, number in dead.items():
+            for block_name in siamfcpp_groups(WIDTHS)[name].blocks:
+                block = siamese.get_submodule(block_name)
+                block.conv.weight[number] = 0
+                block.conv.bias[number] = 0
+                if block.bn is not None:
+                    # Below zero before ReLU, zero where there is none.
+                    block.bn.bias[number] = -1 if block.relu else 0
+                    block.bn.running_mean[number] = 0
+    table = rank(siamese, [pair], siamfcpp_groups(WIDTHS))
+    assert all(table.groups[name].rank[number] == 0 for name, number in dead.items())
+    chosen = Plan({name: [f for f in range(WIDTHS[name]) if f != number] for name, number in dead.items()})
+    before, after = run(siamese, *pair), run(prune_siamfcpp(siamese, chosen), *pair)
+    assert (before[0] - after[0]).abs().max() < 1e-5
+    assert (before[1] - after[1]).abs().max() < 1e-2  # pixels of boxes of up to thousands
+    torch.testing.assert_close(before[1], after[1], atol=1e-3, rtol=1e-5)
+
+
+def test_spec_keeps_all_but_the_widths() -> None:
+    spec = ModelSpec(
+        widths=dict(WIDTHS), search_size=239, calibration=Calibration(bias=2.0), provenance={"training": ["x"]}
+    )
+    model = randomize(SiamFCpp(spec))
+    pruned = prune_siamfcpp(model, Plan({"head.cls1": [1]}))
+    assert pruned.spec.widths == {**WIDTHS, "head.cls1": 1}
+    assert (pruned.spec.search_size, pruned.spec.calibration, pruned.spec.constants, pruned.spec.provenance) == (
+        239,
+        spec.calibration,
+        spec.constants,
+        spec.provenance,
+    )
+    assert model.spec is spec and model.head.cls1.conv.out_channels == WIDTHS["head.cls1"]
+    assert not pruned.training and prune_siamfcpp(model.train(), Plan({"head.cls1": [1]})).training
+
+
+def test_the_papers_plan_gives_the_papers_parameters() -> None:
+    from psiamfcpp.pruning.planning import PAPER_KEEP, kept_count
+
+    model = SiamFCpp()
+    keep = {name: list(range(kept_count(name, FULL_WIDTHS[name], share))) for name, share in PAPER_KEEP.items()}
+    assert count_parameters(model) == 9_655_380
+    assert count_parameters(prune_siamfcpp(model, Plan(keep))) == 7_489_986
+
+
+@pytest.mark.parametrize("name", ["stem.0", "blocks.0.conv1", "blocks.1.conv1", "last.0", "all"])
+def test_a_residual_network_with_grouped_convolutions(residual: nn.Module, example: ModuleType, name: str) -> None:
+    x = torch.rand(3, 3, 14, 14, generator=torch.Generator().manual_seed(1))
+    table = rank(residual, [x])
+    chosen = plan(table, keep=dict.fromkeys(table.groups if name == "all" else [name], 0.5))
+    pruned = prune(residual, x[:1], chosen)
+    assert {n: g.width for n, g in find_groups(pruned, x).items()} == chosen.widths
+    # Silence: what BatchNorm makes of the removed filters' maps is zero, and so is every sum they enter.
+    for group, filters in chosen.keep.items():
+        removed = sorted(set(range(table.widths[group])) - set(filters))
+        for block in find_groups(residual, x)[group].blocks:
+            after = block.replace("conv", "bn") if "conv" in block else block[:-1] + "1"
+            layer = residual.get_submodule(block if group == "last.0" else after)
+            with torch.no_grad():
+                layer.weight[removed] = 0
+                layer.bias[removed] = 0
+    torch.testing.assert_close(run(pruned, x), run(residual, x), atol=1e-5, rtol=1e-5)
+
+
+def test_a_residual_network_kept_whole(residual: nn.Module) -> None:
+    x = torch.rand(2, 3, 12, 12)
+    table = rank(residual, [x])
+    assert torch.equal(run(prune(residual, x, plan(table)), x)[0], run(residual, x)[0])
+
+
+def test_parts_of_a_grouped_convolution_must_keep_the_same_positions(residual: nn.Module) -> None:
+    x = torch.rand(1, 3, 12, 12)
+    good = [position + 6 * part for part in range(4) for position in (0, 2, 5)]
+    assert prune(residual, x, Plan({"blocks.0.conv1": good})).blocks[0].conv1.weight.shape == (12, 4, 3, 3)
+    with pytest.raises(UserError, match=r"blocks\.0\.conv1 feeds a grouped convolution"):
+        prune(residual, x, Plan({"blocks.0.conv1": [*good[:-1], 22]}))
+
+
+def test_plans_for_another_network_are_refused(siamese: SiamFCpp) -> None:
+    with pytest.raises(UserError, match=r"filter 96 of backbone\.conv1, which has 4"):
+        prune_siamfcpp(siamese, Plan({"backbone.conv1": [0, 96]}))
+    with pytest.raises(UserError, match="names conv9"):
+        prune_siamfcpp(siamese, Plan({"conv9": [0]}))
+
+
+def test_the_example_runs(example: ModuleType, capsys: pytest.CaptureFixture[str]) -> None:
+    example.main()
+    printed = capsys.readouterr().out
+    before, after = (int(line.split()[1].replace(",", "")) for line in printed.splitlines() if "parameters" in line)
+    assert before == sum(p.numel() for p in example.Net().parameters())
+    assert after < 0.5 * before
+    assert "(8, 10)" in printed
