@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from psiamfcpp.models import load
 
-from .conftest import FRAMES, PATH, Run
+from .conftest import FRAMES, PATH, Run, read_boxes
 
 Sequences = Callable[..., Path]
 FIGURES = {"precision", "normalized_precision", "auc", "success50"}
+SPEED = {"fps", "fps_mean", "threads", "jobs", "processor"}
 
 
 def test_evaluate_scores_a_folder(run: Run, blob_engine: Any, blob_sequence: Sequences) -> None:
@@ -30,9 +33,11 @@ def test_evaluate_scores_a_folder(run: Run, blob_engine: Any, blob_sequence: Seq
     assert data.keys() == {"results"}
     assert [row["convention"] for row in data["results"]] == ["otb", "got10k"]
     for row in data["results"]:
-        assert row.keys() == {"tracker", "dataset", "convention", "invalid_rows", "sequences", "fps", *FIGURES}
+        assert row.keys() == {"tracker", "dataset", "convention", "invalid_rows", "sequences", *FIGURES, *SPEED}
         assert (row["tracker"], row["dataset"]) == ("blob", "folder")
         assert row["fps"] > 0
+        assert row["fps_mean"] > 0
+        assert (row["threads"], row["jobs"]) == (1, 1)
         assert row["sequences"].keys() == {"car1", "car2"}
         assert all(figures.keys() == FIGURES for figures in row["sequences"].values())
         assert row["sequences"]["car1"]["precision"] == 1
@@ -54,11 +59,17 @@ def test_evaluate_parts_the_conventions(run: Run, blob_engine: Any, blob_sequenc
     assert got10k["success50"] == 1
 
 
-def test_evaluate_prints_a_table(run: Run, tiny_model: Path, blob_sequence: Sequences) -> None:
+def test_evaluate_prints_a_table_a_convention_and_the_speed(
+    run: Run, tiny_model: Path, blob_sequence: Sequences
+) -> None:
     root = blob_sequence("car1", PATH[:3])
     ended = run("evaluate", "--root", root, "--tracker", tiny_model, "--search-size", 239, "--plain")
     assert (ended.code, ended.err) == (0, "")
-    assert [line.split()[0] for line in ended.out.splitlines()][:4] == ["sequence", "car1", "mean,", "mean,"]
+    head, otb, got10k, speed = ended.out.split("\n\n")
+    assert head == "folder: 1 sequences, 3 labels"
+    for table in (otb, got10k):
+        assert [line.split()[0] for line in table.splitlines()[2:]] == ["tiny", "car1"]
+    assert re.fullmatch(r"tiny: [\d.]+ fps \(median; mean [\d.]+\), decoding apart, 1 thread, .+\n", speed)
 
 
 def test_evaluate_refuses(run: Run, tiny_model: Path, tmp_path: Path, blob_sequence: Sequences) -> None:
@@ -66,11 +77,63 @@ def test_evaluate_refuses(run: Run, tiny_model: Path, tmp_path: Path, blob_seque
     assert "does not exist" in run(*base, tmp_path / "none").refused()
     assert "holds no sequence" in run(*base, tmp_path).refused()
     root = blob_sequence("car1", PATH[:3])
+    assert "unknown engine" in run(*base, root, "--engine", "steam").refused()
+    assert "--jobs is 0" in run(*base, root, "--jobs", 0).refused()
     (root / "car1" / "img" / "0002.png").write_bytes(b"")
-    assert "0002.png cannot be read" in run(*base, root).refused()
+    message = run(*base, root).refused()
+    assert message.startswith("tiny on sequence car1: ")
+    assert "0002.png cannot be read" in message
     (root / "car1" / "img" / "0002.png").unlink()
     assert "has 2 images but 3 boxes" in run(*base, root).refused()
-    assert "unknown engine" in run(*base, root, "--engine", "steam").refused()
+
+
+def test_evaluate_keeps_results_and_goes_on_where_it_was(
+    run: Run, blob_engine: Any, blob_sequence: Sequences, tmp_path: Path
+) -> None:
+    blob_sequence("car1", PATH)
+    root = blob_sequence("car2", PATH)
+    command = ("evaluate", "--root", root, "--tracker", "blob", "--results", tmp_path / "r", "--json")
+    first = json.loads(run(*command).out)
+    folder = tmp_path / "r" / "folder" / "blob"
+    assert {path.name for path in folder.iterdir()} == {
+        "run.json", "car1.txt", "car1_time.txt", "car2.txt", "car2_time.txt",
+    }  # fmt: skip
+    assert read_boxes(folder / "car1.txt") == pytest.approx(np.array(PATH), abs=1)
+    # what is there is neither run nor touched, and gives the same figures, speed included
+    blob_engine.templates.clear()
+    before = {path: path.stat().st_mtime_ns for path in folder.glob("*.txt")}
+    assert json.loads(run(*command).out) == first
+    assert before == {path: path.stat().st_mtime_ns for path in folder.glob("*.txt")}
+    assert blob_engine.templates == []
+    # and `score` says the same of it
+    scored = run("score", "--dataset", "folder", "--annotations", root, "--results", tmp_path / "r", "--json")
+    figures = [{key: row[key] for key in (*FIGURES, "fps", "sequences")} for row in first["results"]]
+    assert [{key: row[key] for key in (*FIGURES, "fps", "sequences")} for row in json.loads(scored.out)["results"]] == (
+        figures
+    )
+
+
+def test_evaluate_names_what_could_not_be_run_and_keeps_the_rest(
+    run: Run, blob_engine: Any, blob_sequence: Sequences, tmp_path: Path
+) -> None:
+    for name in ("car1", "car2", "car3"):
+        root = blob_sequence(name, PATH)
+    (root / "car1" / "groundtruth_rect.txt").write_text("nan,nan,nan,nan\n" * FRAMES)
+    (root / "car2" / "img" / "0006.png").write_bytes(b"no image")
+    command = ("evaluate", "--root", root, "--tracker", "blob", "--results", tmp_path / "r")
+    ended = run(*command)
+    assert (ended.code, ended.out) == (2, "")
+    other, error = ended.err.splitlines()
+    assert other.startswith("blob on sequence car2: image ")
+    assert other.endswith("0006.png cannot be read: replace or remove it")
+    assert error.startswith("psiamfcpp: blob on sequence car1: no label is a box that a tracker can begin with")
+    assert f"(and 1 more); what could be run is kept in {tmp_path / 'r'}; --allow-missing scores the rest" in error
+    assert (tmp_path / "r" / "folder" / "blob" / "car3.txt").exists()
+    assert not (tmp_path / "r" / "folder" / "blob" / "car2.txt").exists()
+    ended = run(*command, "--allow-missing", "--json")
+    assert ended.code == 0
+    assert "blob: 2 of 3 sequences are missing and do not count" in ended.err
+    assert [list(row["sequences"]) for row in json.loads(ended.out)["results"]] == [["car3"]] * 2
 
 
 # calibrate

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import tracemalloc
 from pathlib import Path
 
 import pytest
@@ -110,3 +111,23 @@ def test_what_cannot_be_scored_is_refused(run: Run, command: list[str | Path], t
     assert "near/car1.txt cannot be read: line 4 is '10,1'" in run(*command).refused()
     (tmp_path / "anno" / "car1.txt").write_text("")
     assert "anno/car1.txt are empty" in run(*command).refused()
+
+
+def test_memory_does_not_grow_with_the_number_of_trackers(run: Run, tmp_path: Path) -> None:
+    rows = 1500
+    for name in ("car1", "car2", "car3"):
+        for folder in ("anno", *(f"results/tracker{number}" for number in range(16))):
+            (tmp_path / folder).mkdir(parents=True, exist_ok=True)
+            (tmp_path / folder / f"{name}.txt").write_text(box(10) * rows)
+
+    def peak(trackers: int) -> int:
+        folders = [tmp_path / "results" / f"tracker{number}" for number in range(trackers)]
+        command = ("score", "--dataset", "dtb70", "--annotations", tmp_path / "anno", "--results", *folders)
+        tracemalloc.start()
+        assert run(*command).code == 0
+        used = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+        return used
+
+    peak(1)  # what is imported on the way does not count
+    assert peak(16) < 1.2 * peak(2)

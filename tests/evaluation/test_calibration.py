@@ -12,7 +12,7 @@ import pytest
 from numpy.testing import assert_array_equal
 
 from psiamfcpp import Tracker, UserError, datasets
-from psiamfcpp.evaluation.calibration import Looks, confidences, cross_rates, fit, gather
+from psiamfcpp.evaluation.calibration import LOST_BELOW, UNSURE_BELOW, Looks, confidences, cross_rates, fit, gather
 from psiamfcpp.spec import Calibration
 
 
@@ -51,7 +51,7 @@ def test_limits_are_the_stated_ones() -> None:
     drawn = looks(2.0)
     calibration = fit(drawn)
     values = confidences(drawn, calibration)
-    assert (calibration.unsure_below, calibration.lost_below) == (0.5, 0.05)
+    assert (calibration.unsure_below, calibration.lost_below) == (UNSURE_BELOW, LOST_BELOW)
     assert (values[drawn.absent] >= calibration.regain_above).mean() == pytest.approx(0.005, abs=0.002)
 
 

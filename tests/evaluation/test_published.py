@@ -55,3 +55,10 @@ def test_pruning_ratios() -> None:
     assert best == [0.798, 0.811, 0.797, 0.817, 0.801, 0.789, 0.806, 0.817, 0.81]
     assert [max(row, key=row.__getitem__) for row in layers.values()] == [0.3, 0.4, 0.5, 0.2, 0.2, 0.6, 0.7, 0.2, 0.3]
     assert {layer.dataset for layer in pruned_layers()} == {"dtb70"}
+
+
+def test_conventions_are_told_where_they_are_known() -> None:
+    told = {(row.tracker, row.source.split(",")[0]): row.convention for row in ROWS}
+    assert told["KCF", "Table 1"] == told["RACF", "Table 1"] == "otb"
+    assert {kind for (tracker, _), kind in told.items() if tracker.endswith("SiamFC++")} == {"got10k"}
+    assert told["TransT", "Table 2"] is told["HiFT", "Table 2"] is None

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, Literal
 
 from psiamfcpp.cli.output import notes, print_json
 from psiamfcpp.datasets import BENCHMARKS, BenchmarkName
-from psiamfcpp.errors import UserError
 from psiamfcpp.evaluation.metrics import Convention
-from psiamfcpp.evaluation.results import Files, find, score_results
+from psiamfcpp.evaluation.results import Files, count_missing, find_all, read_speed, score_results
 from psiamfcpp.evaluation.table import result_row
+from psiamfcpp.geometry import FloatArray
 
-_BOTH: tuple[Convention, ...] = ("otb", "got10k")
+BOTH: tuple[Convention, ...] = ("otb", "got10k")
 _COUNTS_FOR = {"otb": "count as precision hits and overlap misses", "got10k": "are dropped"}
 
 
@@ -36,34 +37,47 @@ def score(
     """
     benchmark = BENCHMARKS[dataset]
     labels = benchmark.read_labels(annotations)
-    trackers: dict[str, Files] = {}
-    for folder in results:
-        for name, files in find(folder, (dataset, *benchmark.folders[:1]), labels).items():
-            if name in trackers:
-                raise UserError(f"{folder} holds a second tracker called {name}: rename its folder")
-            trackers[name] = files
-    conventions = _BOTH if convention == "both" else (convention,)
-    rows = []
-    for name, files in trackers.items():
-        if not files:
-            notes.print(f"{name}: a folder without results of {dataset}, left out")
-            continue
-        missing = [sequence for sequence in labels if sequence not in files]
-        if missing and not allow_missing:
-            raise UserError(
-                f"tracker {name} lacks {len(missing)} of {len(labels)} sequences, the first is {missing[0]}: "
-                "add its result, or give --allow-missing"
-            )
-        if missing:
-            notes.print(f"{name}: {len(missing)} of {len(labels)} sequences are missing and do not count")
-        scores = score_results(labels, files, conventions)
-        rows += [result_row(name, dataset, kind, by_name, None) for kind, by_name in scores.items()]
+    trackers = find_all(results, (dataset, *benchmark.folders[:1]), labels)
+    conventions = BOTH if convention == "both" else (convention,)
+    rows = score_rows(dataset, labels, trackers, conventions, allow_missing)
     if json:
         print_json({"results": rows})
         return
     size = "" if benchmark.size in (None, len(labels)) else f" of {benchmark.size}"
     print(f"{dataset}: {len(labels)}{size} sequences, {sum(map(len, labels.values()))} labels")
-    for kind in conventions:
+    print_tables(rows)
+
+
+def score_rows(
+    dataset: BenchmarkName,
+    labels: dict[str, FloatArray],
+    trackers: dict[str, Files],
+    conventions: Iterable[Convention],
+    allow_missing: bool,
+) -> list[dict[str, Any]]:
+    """Figures of trackers, a row a tracker and a convention; what is left out is said on standard error.
+
+    Raises:
+        UserError: a tracker lacks a sequence without leave, or a result cannot be scored.
+    """
+    rows = []
+    for name, files in trackers.items():
+        if not files:
+            notes.print(f"{name}: a folder without results of {dataset}, left out")
+            continue
+        missing = count_missing(name, files, labels, allow_missing)
+        if missing:
+            notes.print(f"{name}: {missing} of {len(labels)} sequences are missing and do not count")
+        scores = score_results(labels, files, list(conventions))
+        speed = read_speed(files)
+        fps = None if speed is None else speed.median
+        rows += [result_row(name, dataset, kind, by_name, fps) for kind, by_name in scores.items()]
+    return rows
+
+
+def print_tables(rows: list[dict[str, Any]]) -> None:
+    """A table a convention, in the order of the rows."""
+    for kind in dict.fromkeys(row["convention"] for row in rows):
         _print_table(kind, [row for row in rows if row["convention"] == kind])
 
 

@@ -14,7 +14,7 @@ from psiamfcpp.datasets.benchmarks import BENCHMARKS, Benchmark, BenchmarkName
 from psiamfcpp.datasets.sequence import Sequence
 from psiamfcpp.errors import UserError
 
-__all__ = ["BENCHMARKS", "READERS", "Benchmark", "BenchmarkName", "Sequence", "read"]
+__all__ = ["BENCHMARKS", "READERS", "Benchmark", "BenchmarkName", "Sequence", "read", "read_entry"]
 
 READERS: dict[str, Callable[[Path], list[Sequence]]] = {
     "folder": folder.read,
@@ -38,3 +38,15 @@ def read(kind: str, root: Path) -> list[Sequence]:
     if not root.is_dir():
         raise UserError(f"dataset folder {root} does not exist")
     return READERS[kind](root)
+
+
+def read_entry(entry: str) -> list[Sequence]:
+    """Read a dataset given as ``LAYOUT:FOLDER``.
+
+    Raises:
+        UserError: there is no colon, or as of `read`.
+    """
+    kind, colon, folder = entry.partition(":")
+    if not colon:
+        raise UserError(f"data {entry!r} is not LAYOUT:FOLDER; layouts are {', '.join(READERS)}")
+    return read(kind, Path(folder))

@@ -20,8 +20,9 @@ from psiamfcpp.tracking import Tracker
 from psiamfcpp.tracking.confidence import confidence
 from psiamfcpp.tracking.procedure import Target
 
-# Unsure is what is more likely wrong than right; doubted, what is wrong at odds of nineteen to one.
-UNSURE_BELOW, LOST_BELOW = 0.5, 0.05
+# Unsure is what is more likely wrong than right; doubted, what is wrong at odds of ninety-nine to one, since clips to
+# calibrate on are easier than flights: at nineteen to one, targets in flight that were followed rightly were let go.
+UNSURE_BELOW, LOST_BELOW = 0.5, 0.01
 # Of single frames without the target, the share that may be taken for it when a lost one is looked for.
 FALSE_REGAIN_SHARE = 0.005
 _FOUND_OVERLAP = 0.4

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from psiamfcpp.datasets import Sequence
+from psiamfcpp.errors import UserError
+from psiamfcpp.evaluation.trackers import Follower
 from psiamfcpp.geometry import FloatArray
 from psiamfcpp.images import read_image
-from psiamfcpp.tracking import Tracker
-from psiamfcpp.tracking.confidence import State
 
 
 @dataclass(frozen=True)
@@ -19,27 +19,42 @@ class Pass:
     """What a tracker made of a sequence."""
 
     boxes: FloatArray
-    """``(n, 4)``; the first is the label that it began with"""
-    scores: FloatArray
-    """``(n,)``"""
-    states: list[State]
-    """one a frame"""
+    """``(n, 4)``: NaN before the first label, the label itself where the tracker began, then the tracker's boxes"""
     seconds: FloatArray
-    """``(n,)``: time of init or update, decoding apart"""
+    """``(n,)``: time of init or update, decoding apart; NaN before the first label"""
+    decoding: FloatArray
+    """``(n,)``: time to read and decode the frame; NaN before the first label"""
 
 
-def one_pass(tracker: Tracker, sequence: Sequence) -> Pass:
+def first_label(sequence: Sequence) -> int:
+    """The first frame with a label to begin with: four finite numbers, and a width and a height above 0.
+
+    Raises:
+        UserError: there is none.
+    """
+    usable = np.isfinite(sequence.boxes).all(axis=1) & (sequence.boxes[:, 2:] > 0).all(axis=1)
+    if not usable.any():
+        raise UserError("no label is a box that a tracker can begin with: mend the labels")
+    return int(usable.argmax())
+
+
+def one_pass(tracker: Follower, sequence: Sequence) -> Pass:
     """Run a tracker from the first label to the last frame (one-pass evaluation).
 
     Raises:
-        UserError: a frame cannot be read.
+        UserError: a frame cannot be read, there is no label to begin with, or the tracker refuses.
     """
-    tracks, seconds = [], []
-    for i, path in enumerate(sequence.frames):
-        frame = read_image(path)
-        start = time.perf_counter()
-        track = tracker.init(frame, sequence.boxes[0]) if i == 0 else tracker.update(frame)
-        seconds.append(time.perf_counter() - start)
-        tracks.append(track)
-    boxes, scores = np.array([t.box for t in tracks]), np.array([t.score for t in tracks])
-    return Pass(boxes, scores, [t.state for t in tracks], np.array(seconds))
+    start = first_label(sequence)
+    boxes = np.full((len(sequence), 4), np.nan)
+    seconds, decoding = np.full(len(sequence), np.nan), np.full(len(sequence), np.nan)
+    boxes[start] = sequence.boxes[start]
+    for i in range(start, len(sequence)):
+        begin = time.perf_counter()
+        frame = read_image(sequence.frames[i])
+        decoded = time.perf_counter()
+        if i == start:
+            tracker.init(frame, sequence.boxes[i])
+        else:
+            boxes[i] = tracker.update(frame)
+        seconds[i], decoding[i] = time.perf_counter() - decoded, decoded - begin
+    return Pass(boxes, seconds, decoding)

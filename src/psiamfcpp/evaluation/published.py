@@ -11,6 +11,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from psiamfcpp.evaluation.metrics import Convention
+
 _FILE = Path(__file__).with_name("published.json")
 
 
@@ -28,6 +30,8 @@ class Published:
     fps_cpu: float | None = None
     fps_gpu: float | None = None
     parameters: int | None = None
+    convention: Convention | None = None
+    """that its precision follows (docs/evaluation.md); the paper does not say, and for some trackers nobody does"""
 
 
 @dataclass(frozen=True)

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Collection, Iterable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -54,6 +55,80 @@ def find(folder: Path, dataset: Collection[str], sequences: Iterable[str]) -> di
             return found
     wanted = f"{listed[0]}.txt, {listed[0]}/{listed[0]}_001.txt or {listed[0]}.mat" if listed else "a sequence"
     raise UserError(f"{folder} holds no result of the labelled sequences; expected is {wanted}, a folder a tracker")
+
+
+def find_all(folders: Iterable[Path], dataset: Collection[str], sequences: Collection[str]) -> dict[str, Files]:
+    """The trackers of several folders; see `find`.
+
+    Raises:
+        UserError: as `find`, or two folders hold a tracker of one name.
+    """
+    trackers: dict[str, Files] = {}
+    for folder in folders:
+        for name, files in find(folder, dataset, sequences).items():
+            if name in trackers:
+                raise UserError(f"{folder} holds a second tracker called {name}: rename its folder")
+            trackers[name] = files
+    return trackers
+
+
+def count_missing(tracker: str, files: Files, sequences: Collection[str], allow: bool) -> int:
+    """How many sequences a tracker has no result of.
+
+    Raises:
+        UserError: it lacks one, and that is not allowed; names the first.
+    """
+    missing = [name for name in sequences if name not in files]
+    if missing and not allow:
+        raise UserError(
+            f"tracker {tracker} lacks {len(missing)} of {len(sequences)} sequences, the first is {missing[0]}: "
+            "add its result, or give --allow-missing"
+        )
+    return len(missing)
+
+
+@dataclass(frozen=True)
+class Speed:
+    """Frames a second over all sequences, decoding apart."""
+
+    median: float
+    """of the single frames"""
+    mean: float
+    """frames by time"""
+
+
+def read_speed(files: Files) -> Speed | None:
+    """Speed from the files of times, ``<sequence>_time.txt``, beside the results; the first frame does not count.
+
+    None where a sequence has no such file, or the times in it tell nothing.
+
+    Raises:
+        UserError: a file of times is damaged.
+    """
+    updates: list[FloatArray] = []
+    for name, path in files.items():
+        beside = path.with_name(f"{name}_time.txt")
+        if not beside.is_file():
+            return None
+        seconds = read_times(beside)
+        # before the first label there is no time; the first there is, is that of init
+        updates.append(seconds[np.isfinite(seconds)][1:])
+    together = np.concatenate(updates) if updates else np.empty(0)
+    if not len(together) or not (together > 0).all():
+        return None
+    return Speed(float(1 / np.median(together)), float(1 / together.mean()))
+
+
+def read_times(path: Path) -> FloatArray:
+    """Seconds ``(n,)`` of tracking from a file of times, the first number of each line.
+
+    Raises:
+        UserError: the file is missing, or a line holds no number.
+    """
+    try:
+        return np.array([float(line.replace(",", " ").split()[0]) for line in path.read_text().splitlines()])
+    except (OSError, ValueError, IndexError) as error:
+        raise UserError(f"times {path} cannot be read ({error}): run the tracker again") from None
 
 
 def read_result(path: Path, rows: int) -> FloatArray:

@@ -1,0 +1,184 @@
+"""The paper's plots: precision and success curves with a ranked legend, and precision against speed."""
+
+from __future__ import annotations
+
+import io
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+
+from psiamfcpp.evaluation.compare import PAPER, Comparison, Measured, average
+from psiamfcpp.evaluation.metrics import OVERLAP_THRESHOLDS, PRECISION_THRESHOLDS, Convention
+from psiamfcpp.evaluation.published import Published, averaged
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+# Ten colours that people with a weakness for colours can tell apart as well as ten can be; then again, dashed.
+COLOURS = (
+    "#d62728", "#1f5fbf", "#2a9d3f", "#e69f00", "#8e44ad", "#0097a7", "#8c564b", "#e377c2", "#707070", "#a8a800",
+)  # fmt: skip
+_DASHES = ("-", "--", ":", "-.")
+_REAL_TIME = 30
+_FPS_TICKS = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000)
+_NAME_SIZE = 8
+# in points, the likeliest first
+_NAME_OFFSETS = ((6, 0), (-6, 0), (0, 9), (0, -9), (6, 9), (6, -9), (-6, 9), (-6, -9), (0, 18), (0, -18))
+_STYLE: Any = {
+    "font.size": 9,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "grid.alpha": 0.25,
+    # names of trackers are no formulas
+    "text.parse_math": False,
+    # letters as outlines look the same everywhere, and the same figures give the same file
+    "svg.fonttype": "path",
+    "svg.hashsalt": "psiamfcpp",
+}
+
+
+def colours(comparisons: list[Comparison]) -> dict[str, tuple[str, str]]:
+    """A colour and a line style a tracker, the same in every picture of a report; the best come first."""
+    ranks: dict[str, list[float]] = {}
+    for comparison in comparisons:
+        for entry in comparison.measured:
+            ranks.setdefault(entry.tracker, []).append(entry.mean["otb"].figures["precision"])
+    names = sorted(ranks, key=lambda name: -float(np.mean(ranks[name])))
+    return {
+        name: (COLOURS[i % len(COLOURS)], _DASHES[i // len(COLOURS) % len(_DASHES)]) for i, name in enumerate(names)
+    }
+
+
+def curves(
+    comparison: Comparison,
+    kind: Literal["precision", "success"],
+    convention: Convention,
+    styles: dict[str, tuple[str, str]],
+) -> Figure:
+    """Curves of all trackers on one benchmark, ranked by the figure in brackets.
+
+    That is precision at 20 pixels or the area under the success curve, as in the paper's Fig. 2.
+    """
+    figure, axes = _figure(height=3.1 + 0.17 * ((len(comparison.measured) + 1) // 2))
+    key = "precision" if kind == "precision" else "auc"
+    ranked = sorted(comparison.measured, key=lambda entry: -entry.mean[convention].figures[key])
+    for place, entry in enumerate(ranked):
+        mean, (colour, dash) = entry.mean[convention], styles[entry.tracker]
+        x = PRECISION_THRESHOLDS if kind == "precision" else OVERLAP_THRESHOLDS
+        y = mean.precision_curve if kind == "precision" else mean.success_curve
+        label = f"{entry.tracker} [{mean.figures[key]:.3f}]"
+        axes.plot(x, y, dash, color=colour, label=label, linewidth=2.4 if place == 0 else 1.4, zorder=3 - place / 100)
+    if kind == "precision":
+        axes.axvline(20, color="#999999", linewidth=0.8, linestyle=":")
+        axes.set(xlabel="Location error threshold (pixels)", ylabel="Precision", xlim=(0, 50), ylim=(0, 1))
+    else:
+        axes.set(xlabel="Overlap threshold", ylabel="Success rate", xlim=(0, 1), ylim=(0, 1))
+    axes.set_title(f"{kind.capitalize()} plots of OPE on {comparison.title}", fontsize=10)
+    figure.legend(loc="outside lower center", ncols=2, fontsize=8.5, frameon=False, handlelength=2.4)
+    return figure
+
+
+def speed(comparison: Comparison, convention: Convention, styles: dict[str, tuple[str, str]]) -> Figure | None:
+    """Precision against frames a second on a CPU; None where no tracker's speed is known."""
+    rows = [row for row in comparison.published if row.convention in (convention, None)]
+    points = [_measured_point(entry, convention) for entry in comparison.measured if entry.speed]
+    return _scatter(comparison.title, points, rows, styles)
+
+
+def average_speed(
+    comparisons: list[Comparison], rows: list[Published], convention: Convention, styles: dict[str, tuple[str, str]]
+) -> Figure | None:
+    """The same over the paper's four benchmarks: its own figures, and ours where all four were run."""
+    points = []
+    if {c.dataset for c in comparisons} >= set(averaged()):
+        four = [c for c in comparisons if c.dataset in averaged()]
+        for entry in four[0].measured:
+            precision = average(four, entry.tracker, convention, "precision")
+            rates = [m.speed.median for c in four for m in c.measured if m.tracker == entry.tracker and m.speed]
+            if precision is not None and len(rates) == len(four):
+                points.append((entry.tracker, sum(rates) / len(rates), precision))
+    return _scatter("average of four benchmarks", points, rows, styles)
+
+
+def png_and_svg(figure: Figure) -> tuple[bytes, bytes]:
+    """A figure as the contents of a PNG and of an SVG file."""
+    import matplotlib
+
+    files = []
+    with matplotlib.rc_context(_STYLE):
+        for kind in ("png", "svg"):
+            buffer = io.BytesIO()
+            figure.savefig(buffer, format=kind, dpi=200, metadata={"Date": None} if kind == "svg" else None)
+            files.append(buffer.getvalue())
+    return files[0], files[1]
+
+
+def _figure(height: float) -> tuple[Figure, Axes]:
+    import matplotlib
+    from matplotlib.figure import Figure as NewFigure
+
+    with matplotlib.rc_context(_STYLE):
+        figure = NewFigure(figsize=(4.6, height), layout="constrained")
+        return figure, figure.add_subplot()
+
+
+def _measured_point(entry: Measured, convention: Convention) -> tuple[str, float, float]:
+    assert entry.speed is not None
+    return entry.tracker, entry.speed.median, entry.mean[convention].figures["precision"]
+
+
+def _scatter(
+    name: str, points: list[tuple[str, float, float]], rows: list[Published], styles: dict[str, tuple[str, str]]
+) -> Figure | None:
+    # the paper prints its own average in two tables
+    printed = list({(row.tracker, row.fps_cpu, row.precision): None for row in rows if row.fps_cpu is not None})
+    if not points and not printed:
+        return None
+    figure, axes = _figure(height=3.6)
+    for tracker, fps, precision in points:
+        axes.scatter(fps, precision, s=46, color=styles[tracker][0], zorder=3)
+    for _, fps, precision in printed:
+        axes.scatter(fps, precision, s=46, facecolors="white", edgecolors="#555555", zorder=2)
+    if points:
+        axes.scatter([], [], s=46, color="#333333", label="measured")
+    if printed:
+        axes.scatter([], [], s=46, facecolors="white", edgecolors="#555555", label=f"published ({PAPER})")
+    axes.axvline(_REAL_TIME, color="#999999", linewidth=0.8, linestyle=":")
+    axes.text(_REAL_TIME, 0.01, " real time", transform=axes.get_xaxis_transform(), fontsize=7.5, color="#777777")
+    axes.set_xscale("log")
+    axes.margins(y=0.15)
+    axes.set_xticks(_FPS_TICKS, [f"{tick:g}" for tick in _FPS_TICKS], minor=False)
+    axes.minorticks_off()
+    every = [fps for _, fps, _ in [*points, *printed]]
+    # room for the names beside the outermost points; after the ticks, which would widen it
+    axes.set_xlim(min([*every, _REAL_TIME]) / 3, max([*every, _REAL_TIME]) * 2.5)
+    axes.set(xlabel="Frames per second on a CPU", ylabel="Precision at 20 pixels")
+    axes.set_title(f"Precision and speed, {name}", fontsize=10)
+    figure.legend(loc="outside lower center", ncols=2, fontsize=8.5, frameon=False)
+    _name_points(figure, axes, [(*point, "#111111") for point in points] + [(*point, "#666666") for point in printed])
+    return figure
+
+
+def _name_points(figure: Figure, axes: Axes, points: list[tuple[str, float, float, str]]) -> None:
+    """Write names beside points, each at the first place where it covers neither a point nor another name."""
+    from matplotlib.transforms import Affine2D
+
+    figure.draw_without_rendering()
+    places = [tuple(axes.transData.transform(point[1:3]) * 72 / figure.dpi) for point in points]
+    area = axes.bbox.frozen().transformed(Affine2D().scale(72 / figure.dpi))
+    taken = [(x - 4, y - 4, x + 4, y + 4) for x, y in places]
+    for (name, fps, precision, colour), (x, y) in zip(points, places, strict=True):
+        # a letter is about 0.6 of its size wide
+        width, height = 0.6 * _NAME_SIZE * len(name), 1.1 * _NAME_SIZE
+        for dx, dy in _NAME_OFFSETS:
+            left = x + dx - width * (0.5 - 0.5 * float(np.sign(dx)))
+            box = (left, y + dy - height / 2, left + width, y + dy + height / 2)
+            inside = area.x0 < box[0] and box[2] < area.x1
+            if inside and not any(box[0] < b[2] and b[0] < box[2] and box[1] < b[3] and b[1] < box[3] for b in taken):
+                break
+        taken.append(box)
+        side = {1: "left", -1: "right", 0: "center"}[int(np.sign(dx))]
+        text: dict[str, Any] = {"ha": side, "va": "center", "fontsize": _NAME_SIZE, "color": colour}
+        axes.annotate(name, (fps, precision), (dx, dy), textcoords="offset points", **text)
