@@ -8,6 +8,8 @@ import pytest
 
 from psiamfcpp import UserError, zoo
 from psiamfcpp.models import load
+from psiamfcpp.runtime import open_engine
+from psiamfcpp.runtime.graph_file import precision
 
 FOLDER = Path(zoo.__file__).parent
 
@@ -62,3 +64,31 @@ def test_every_shipped_model_loads_is_small_and_has_a_card() -> None:
 
 def test_no_card_is_left_without_its_model() -> None:
     assert {path.stem for path in FOLDER.glob("*.md")} <= set(zoo.names())
+
+
+def test_every_folder_of_graphs_is_of_a_shipped_model_and_small() -> None:
+    assert zoo.DEFAULT_MODEL in {*zoo.names(), *zoo.graph_names()}
+    for name in zoo.graph_names():
+        folder = zoo.graph_folder(name)
+        assert folder is not None
+        checkpoint = load(name.removesuffix("-int8"))
+        engine = open_engine(name, "onnx", 1)
+        assert engine.spec == checkpoint.spec, f"{name} was exported from another checkpoint: export it again"
+        assert precision(folder) == ("int8" if name.endswith("-int8") else "fp32")
+        for path in folder.iterdir():
+            assert path.stat().st_size <= 20e6, f"{path.name} of {name} is above 20 MB"
+
+
+def test_a_folder_of_graphs_is_known_by_name_and_by_path(shelf: Path, tmp_path: Path) -> None:
+    (shelf / "small-one-int8").mkdir()
+    (shelf / "small-one-int8" / "search.onnx").touch()
+    (shelf / "empty").mkdir()
+    assert zoo.graph_names() == ["small-one-int8"]
+    assert zoo.graph_folder("small-one-int8") == shelf / "small-one-int8"
+    assert zoo.graph_folder("small-one") is zoo.graph_folder("") is zoo.graph_folder(tmp_path) is None
+    (tmp_path / "search.xml").touch()
+    assert zoo.graph_folder(str(tmp_path)) == tmp_path
+    with pytest.raises(
+        UserError, match=r"'small-one-int8' holds graphs only, and this needs a checkpoint: shipped models are big"
+    ):
+        zoo.weights_path("small-one-int8")

@@ -1,4 +1,8 @@
-"""Weights shipped inside the package, each with a model card of the same name."""
+"""Models shipped inside the package, each with a model card.
+
+A model NAME is a checkpoint, ``NAME.safetensors``, to look into and to train on; the folders ``NAME`` and ``NAME-int8``
+hold the graphs that were exported from it, to track with.
+"""
 
 from __future__ import annotations
 
@@ -7,18 +11,23 @@ from pathlib import Path
 
 from psiamfcpp.errors import UserError
 
-DEFAULT_MODEL = "siamfcpp-alexnet"
+DEFAULT_MODEL = "siamfcpp-alexnet-int8"
 
 _FOLDER = Path(__file__).parent
 
 
 def names() -> list[str]:
-    """Names of the shipped models."""
+    """Names of the shipped checkpoints."""
     return sorted(path.stem for path in _FOLDER.glob("*.safetensors"))
 
 
+def graph_names() -> list[str]:
+    """Names of the shipped folders of graphs."""
+    return sorted(path.parent.name for path in _FOLDER.glob("*/search.onnx"))
+
+
 def weights_path(path_or_name: str | Path) -> Path:
-    """The file of a shipped model's name, or the path itself if it exists.
+    """The checkpoint of a shipped model's name, or the path itself if it exists.
 
     Raises:
         UserError: neither a shipped model nor a file; names the nearest model.
@@ -28,6 +37,23 @@ def weights_path(path_or_name: str | Path) -> Path:
     path = Path(path_or_name)
     if path.is_file():
         return path
-    near = difflib.get_close_matches(str(path_or_name), names(), n=1)
-    hint = f"did you mean {near[0]!r}?" if near else f"shipped models are {', '.join(names()) or 'none'}"
+    if graph_folder(path_or_name):
+        raise UserError(
+            f"model {str(path_or_name)!r} holds graphs only, and this needs a checkpoint: {_known(names())}"
+        )
+    every = sorted({*names(), *graph_names()})
+    near = difflib.get_close_matches(str(path_or_name), every, n=1)
+    hint = f"did you mean {near[0]!r}?" if near else _known(every)
     raise UserError(f"model {str(path_or_name)!r} is neither a file nor a shipped model: {hint}")
+
+
+def graph_folder(path_or_name: str | Path) -> Path | None:
+    """The folder of graphs of a shipped model's name, or the path itself if it is one; None if there is none."""
+    if str(path_or_name) in graph_names():
+        return _FOLDER / str(path_or_name)
+    path = Path(path_or_name)
+    return path if any(path.glob("search.*")) else None
+
+
+def _known(found: list[str]) -> str:
+    return f"shipped models are {', '.join(found) or 'none'}"

@@ -1,0 +1,1 @@
+"""From a checkpoint to the two graphs that the runtime needs, checked against the checkpoint."""

@@ -1,0 +1,73 @@
+"""Both graphs of a model as files, which appear only once they are known to do what the network does."""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+from pathlib import Path
+from typing import Literal
+
+from psiamfcpp.errors import UserError
+from psiamfcpp.export.crops import Pair
+from psiamfcpp.export.graph import Ranges, search_graph, template_graph
+from psiamfcpp.export.layers import layers
+from psiamfcpp.export.parity import Difference, compare, look
+from psiamfcpp.models import SiamFCpp
+from psiamfcpp.runtime import open_engine
+from psiamfcpp.runtime.torch_engine import TorchEngine
+
+Format = Literal["onnx", "openvino"]
+
+
+def write_graphs(model: SiamFCpp, folder: Path, form: Format, ranges: Ranges, pairs: list[Pair]) -> Difference:
+    """Write the graphs of a model into a folder.
+
+    Args:
+        model: the network, in evaluation mode.
+        folder: made if need be; graphs that are in it are replaced.
+        form: onnx, or OpenVINO's own files.
+        ranges: what is to be quantized of the search graph; the template graph stays float, since it runs once
+            and every frame rests on it.
+        pairs: crops on which the written files are checked against the network.
+
+    Returns:
+        How far the graphs are from the network.
+
+    Raises:
+        UserError: they are too far from it, or the folder cannot be written to; then nothing was.
+    """
+    weights = layers(model)
+    graphs = {
+        "template": template_graph(model.spec, weights, Ranges()),
+        "search": search_graph(model.spec, weights, ranges),
+    }
+    try:
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        work = Path(tempfile.mkdtemp(prefix=f"{folder.name}.", suffix=".part", dir=folder.parent))
+    except OSError as error:
+        raise UserError(f"graphs cannot be written to {folder}: {error}") from None
+    try:
+        for name, graph in graphs.items():
+            _write(graph.SerializeToString(), work / name, form)
+        expected = look(TorchEngine(model), pairs)
+        difference = compare(expected, look(open_engine(str(work), form), pairs))
+        difference.check(bool(ranges.inputs))
+        folder.mkdir(exist_ok=True)
+        for path in work.iterdir():
+            path.replace(folder / path.name)
+    except OSError as error:
+        raise UserError(f"graphs cannot be written to {folder}: {error}") from None
+    finally:
+        shutil.rmtree(work)
+    return difference
+
+
+def _write(graph: bytes, path: Path, form: Format) -> None:
+    if form == "onnx":
+        path.with_suffix(".onnx").write_bytes(graph)
+        return
+    try:
+        import openvino
+    except ModuleNotFoundError as error:
+        raise UserError(f"OpenVINO's form needs {error.name}: pip install 'psiamfcpp[openvino]'") from None
+    openvino.save_model(openvino.Core().read_model(graph), path.with_suffix(".xml"), compress_to_fp16=False)

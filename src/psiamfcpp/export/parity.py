@@ -1,0 +1,62 @@
+"""What exported graphs say against what the network says, on the same crops."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from psiamfcpp.errors import UserError
+from psiamfcpp.export.crops import Pair
+from psiamfcpp.geometry import from_corners, overlap
+from psiamfcpp.runtime import Engine
+from psiamfcpp.runtime.engine import Float32Array
+
+Answer = tuple[Float32Array, Float32Array]
+
+# Float graphs differ from torch by rounding alone; boxes are in pixels of the crop.
+_SCORES, _BOXES = 1e-3, 0.05
+# Eight bits move scores and boxes a little; an export that went wrong moves them far.
+_OVERLAP = 0.9
+
+
+@dataclass(frozen=True)
+class Difference:
+    """How far two engines are apart."""
+
+    scores: float
+    """largest difference of a score, over all cells"""
+    boxes: float
+    """largest difference of a corner in pixels of the crop, over the cells that count: half the peak's score or more"""
+    overlap: float
+    """mean overlap of the boxes that they choose"""
+
+    def check(self, int8: bool) -> None:
+        """Raise unless the graphs may stand for the network.
+
+        Raises:
+            UserError: they differ by more than rounding, or with ``int8`` by more than 8 bits explain.
+        """
+        if int8:
+            if not self.overlap >= _OVERLAP:
+                raise UserError(f"8 bits change the boxes: they overlap by {self.overlap:.3f}; nothing was written")
+        elif not (self.scores <= _SCORES and self.boxes <= _BOXES):
+            apart = f"scores differ by up to {self.scores:.2g} and boxes by up to {self.boxes:.2g} pixels"
+            raise UserError(f"the graphs are not the network: {apart}; nothing was written")
+
+
+def look(engine: Engine, pairs: list[Pair]) -> list[Answer]:
+    """Scores ``(N, N)`` and boxes ``(N, N, 4)`` for every pair."""
+    return [engine.search(pair.search, engine.template(pair.template)) for pair in pairs]
+
+
+def compare(expected: list[Answer], found: list[Answer]) -> Difference:
+    """How far the answers are from those that were expected, pair by pair."""
+    scores, boxes, overlaps = [], [], []
+    for (s0, b0), (s, b) in zip(expected, found, strict=True):
+        scores.append(np.abs(s - s0).max())
+        counts = s0 >= s0.max() / 2
+        boxes.append(np.abs(b - b0)[counts].max())
+        chosen = (from_corners(b_.reshape(-1, 4)[s_.argmax()]) for s_, b_ in ((s0, b0), (s, b)))
+        overlaps.append(overlap(*chosen))
+    return Difference(float(np.max(scores)), float(np.max(boxes)), float(np.mean(overlaps)))

@@ -1,0 +1,78 @@
+"""The OpenVINO engine: runs exported graphs, as ONNX or in OpenVINO's own form."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import openvino
+
+from psiamfcpp.geometry import Image
+from psiamfcpp.runtime.engine import Float32Array, Images, one_by_one, usable_cores
+from psiamfcpp.runtime.graph_file import damaged, graph_files, read_spec, same_model
+from psiamfcpp.spec import ModelSpec
+
+Kernels = tuple[Float32Array, Float32Array]
+
+
+class OpenVinoEngine:
+    """See `psiamfcpp.runtime.engine.Engine`."""
+
+    def __init__(self, folder: Path, threads: int | None = None, search_size: int | None = None):
+        template, search = graph_files(folder, (".xml", ".onnx"))
+        template_model, described = _read(template)
+        search_model, other = _read(search)
+        same_model(template, described, search, other)
+        size = described.search_size if search_size is None else search_size
+        self.spec = dataclasses.replace(described, search_size=size)
+        search_model.reshape({"crop": [1, size, size, 3]})
+        self._template = _compile(template, template_model, threads)
+        self._search = _compile(search, search_model, threads)
+        self._warm_up()
+
+    def template(self, crop: Image) -> Kernels:
+        """Correlation kernels of a template crop ``(127, 127, 3)``, uint8, BGR."""
+        found = self._template.infer({"crop": crop[None]}, share_inputs=True)
+        return found["cls_kernel"].copy(), found["reg_kernel"].copy()
+
+    def search(self, crop: Image, kernels: Kernels) -> tuple[Float32Array, Float32Array]:
+        """Scores ``(N, N)`` and boxes ``(N, N, 4)`` of a search crop ``(S, S, 3)``, uint8, BGR."""
+        feed = {"crop": crop[None], "cls_kernel": kernels[0], "reg_kernel": kernels[1]}
+        found = self._search.infer(feed, share_inputs=True)
+        return found["scores"][0], found["boxes"][0]
+
+    def search_many(self, crops: Images, kernels: list[Kernels]) -> tuple[Float32Array, Float32Array]:
+        """Scores ``(B, N, N)`` and boxes ``(B, N, N, 4)`` of crops ``(B, S, S, 3)``, uint8, BGR."""
+        return one_by_one(self, crops, kernels)
+
+    def _warm_up(self) -> None:
+        """Run once, so that the first frame costs no more than later ones."""
+        z, x = (np.zeros((s, s, 3), np.uint8) for s in (self.spec.template_size, self.spec.search_size))
+        self.search(x, self.template(z))
+
+
+def _read(path: Path) -> tuple[Any, ModelSpec]:
+    try:
+        model = openvino.Core().read_model(path)
+    except RuntimeError as error:
+        # the reason stands at the end of a chain of source lines
+        raise damaged(path, RuntimeError(str(error).strip().splitlines()[-1])) from None
+    paths = {key: ["framework", key] for key in ("format", "spec")}
+    return model, read_spec(
+        {k: str(model.get_rt_info(p).value) for k, p in paths.items() if model.has_rt_info(p)}, path
+    )
+
+
+def _compile(path: Path, model: Any, threads: int | None) -> Any:
+    # Left to itself OpenVINO computes float layers in bfloat16 where the processor can.
+    config = {
+        "INFERENCE_PRECISION_HINT": "f32",
+        "PERFORMANCE_HINT": "LATENCY",
+        "INFERENCE_NUM_THREADS": threads or usable_cores(),
+    }
+    try:
+        return openvino.Core().compile_model(model, "CPU", config).create_infer_request()
+    except RuntimeError as error:
+        raise damaged(path, RuntimeError(str(error).strip().splitlines()[-1])) from None

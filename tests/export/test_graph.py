@@ -1,0 +1,139 @@
+"""Graphs are the network, layer by layer; in 8 bits they are close to it, and still integers where it counts."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+from tests.models.conftest import UNEVEN, randomize
+
+from psiamfcpp.export.crops import Pair, rendered, sample
+from psiamfcpp.export.graph import Ranges, search_graph, template_graph
+from psiamfcpp.export.layers import layers
+from psiamfcpp.export.quantize import _least_loss, losses, measure, without
+from psiamfcpp.models.network import SiamFCpp
+from psiamfcpp.runtime.onnx_engine import open_session
+from psiamfcpp.spec import ModelSpec
+
+onnx = pytest.importorskip("onnx")
+
+
+@pytest.fixture(scope="module")
+def network() -> SiamFCpp:
+    # rounded as shipped checkpoints are, which the graphs store without loss
+    return randomize(SiamFCpp(ModelSpec(widths=UNEVEN)), 3).half().float()
+
+
+@pytest.fixture(scope="module")
+def pairs(network: SiamFCpp) -> list[Pair]:
+    return rendered(network.spec, 3)
+
+
+@pytest.fixture(scope="module")
+def ranges(network: SiamFCpp, pairs: list[Pair]) -> Ranges:
+    return measure(network.spec, layers(network), pairs)
+
+
+def answer(network: SiamFCpp, ranges: Ranges, pair: Pair) -> tuple[np.ndarray, np.ndarray]:
+    weights = layers(network)
+    template = open_session(template_graph(network.spec, weights, Ranges()).SerializeToString(), 1)
+    search = open_session(search_graph(network.spec, weights, ranges).SerializeToString(), 1)
+    cls, reg = template.run(None, {"crop": pair.template[None]})
+    scores, boxes = search.run(None, {"crop": pair.search[None], "cls_kernel": cls, "reg_kernel": reg})
+    return scores, boxes
+
+
+def test_graphs_are_valid_and_describe_themselves(network: SiamFCpp, ranges: Ranges) -> None:
+    for graph in (
+        template_graph(network.spec, layers(network), Ranges()),
+        search_graph(network.spec, layers(network), ranges),
+    ):
+        onnx.checker.check_model(graph, full_check=True)
+        metadata = {entry.key: entry.value for entry in graph.metadata_props}
+        assert metadata["format"] == "psiamfcpp-graph/1"
+        assert ModelSpec.from_json(metadata["spec"]) == network.spec
+
+
+def test_float_graphs_compute_the_network_with_folded_batchnorm(network: SiamFCpp, pairs: list[Pair]) -> None:
+    import torch
+
+    def as_input(crop: np.ndarray) -> torch.Tensor:
+        return torch.from_numpy(crop).permute(2, 0, 1)[None].float()
+
+    scores, boxes = answer(network, Ranges(), pairs[0])
+    with torch.inference_mode():
+        expected = network.search(as_input(pairs[0].search), network.template(as_input(pairs[0].template)))
+    assert_allclose(scores, expected[0], atol=1e-4)
+    assert_allclose(boxes, expected[1], rtol=1e-3, atol=0.02)
+
+
+def test_half_precision_weights_lose_nothing_in_the_graph() -> None:
+    graph_weights = layers(randomize(SiamFCpp(ModelSpec(widths=UNEVEN)).half().float(), 3))
+    model = template_graph(ModelSpec(widths=UNEVEN), graph_weights, Ranges())
+    stored = {t.name: onnx.numpy_helper.to_array(t) for t in model.graph.initializer}
+    name = "backbone.conv3"
+    half = graph_weights[name].weight.astype(np.float16).astype(np.float32)
+    again = stored[f"{name}.weight"].astype(np.float32) * stored[f"{name}.scale"]
+    folded = graph_weights[name].weight * graph_weights[name].gain[:, None, None, None]
+    assert_allclose(again, folded, rtol=6e-4)
+    assert np.abs(half - graph_weights[name].weight).max() > 0  # the weights did need rounding
+
+
+def test_quantized_layers_run_on_integers_and_others_in_float(network: SiamFCpp, ranges: Ranges, tmp_path) -> None:
+    import onnxruntime
+
+    kept = without(ranges, {"head.scores", "neck.search"})
+    assert kept.features is None
+    graph = search_graph(network.spec, layers(network), kept)
+    options = onnxruntime.SessionOptions()
+    options.log_severity_level = 3
+    options.optimized_model_filepath = str(tmp_path / "optimized.onnx")
+    onnxruntime.InferenceSession(graph.SerializeToString(), options, providers=["CPUExecutionProvider"])
+    ops = [node.op_type for node in onnx.load(tmp_path / "optimized.onnx").graph.node]
+    # Of fourteen, two were kept in float; so are conv5 and head.cls3, which feed them, and head.reg_offsets, which
+    # feeds the boxes: an integer convolution has an integer output.
+    assert ops.count("QLinearConv") == 9
+
+
+def test_eight_bits_stay_close(network: SiamFCpp, ranges: Ranges, pairs: list[Pair]) -> None:
+    expected, found = (answer(network, r, pairs[1]) for r in (Ranges(), ranges))
+    assert 0 < np.abs(found[0] - expected[0]).max() < 0.1
+    # the exponential makes much of little in random weights' widest boxes, so the median is asked
+    assert 0 < np.median(np.abs(found[1] - expected[1])) < 1
+
+
+def test_each_layer_is_judged_alone(network: SiamFCpp, ranges: Ranges, pairs: list[Pair]) -> None:
+    by_layer = dict(losses(network.spec, layers(network), ranges, pairs[:1]))
+    assert set(by_layer) == set(ranges.inputs)
+    # the regression branch cannot move a score, nor the classification branch a corner
+    assert by_layer["head.reg2"].scores == 0
+    assert by_layer["head.cls2"].boxes == 0
+    assert by_layer["backbone.conv1"].scores > 0
+
+
+def test_an_outlier_is_cut_off_and_an_even_spread_is_not() -> None:
+    even = np.full(2048, 10.0)
+    assert _least_loss(even, 0.0, 8.0) == (0.0, 8.0)
+    lonely = np.zeros(2048)
+    lonely[:512], lonely[-1] = 1e6, 1
+    low, high = _least_loss(lonely, 0.0, 8.0)
+    assert (low, pytest.approx(high, abs=0.4)) == (0.0, 2.0)
+
+
+def test_pixels_are_taken_as_they_are(ranges: Ranges) -> None:
+    assert ranges.inputs["backbone.conv1"] == (0.0, 255.0)
+
+
+def test_samples_are_the_same_each_time_and_come_from_every_source(blob_sequence) -> None:
+    from psiamfcpp import datasets
+
+    root = blob_sequence("alpha", [(100, 80, 40, 30)] * 3)
+    blob_sequence("beta", [(100, 80, 40, 30)] * 3)
+    sequences = datasets.read("folder", root)
+    first, again = (sample(sequences, ModelSpec(), 4, seed=5) for _ in range(2))
+    for a, b in zip(first, again, strict=True):
+        assert_array_equal(a.template, b.template)
+        assert_array_equal(a.search, b.search)
+    assert [p.template.shape for p in first] == [(127, 127, 3)] * 4
+    # the target is in the middle of every template and somewhere in every search crop
+    assert all(p.template[63, 63].min() > 200 and p.search.max() > 200 for p in first)
