@@ -1,5 +1,6 @@
 """Frame in, box out."""
 
+from psiamfcpp.tracking.pool import TargetPool
 from psiamfcpp.tracking.tracker import Track, Tracker
 
-__all__ = ["Track", "Tracker"]
+__all__ = ["TargetPool", "Track", "Tracker"]

@@ -2,25 +2,38 @@
 
 from __future__ import annotations
 
+import copy
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from psiamfcpp.crop import crop, mean_colour
+from psiamfcpp.crop import mean_colour, target_crop
 from psiamfcpp.errors import UserError
 from psiamfcpp.geometry import Box, Image, centre, check_box, context_side, from_centre
 from psiamfcpp.runtime import Engine, open_engine
 from psiamfcpp.spec import STRIDE, score_size
 from psiamfcpp.tracking.confidence import State, StateMachine, confidence
-from psiamfcpp.tracking.procedure import Estimate, Target, contrast, cosine_window, estimate, smooth
+from psiamfcpp.tracking.procedure import Estimate, FloatMap, Target, contrast, cosine_window, estimate, smooth
 from psiamfcpp.zoo import DEFAULT_MODEL
 
 # Sides below this are not followed down, unless the target began smaller (the original's lower bound).
 _SMALLEST_SIDE = 10.0
 # The velocity is a running mean over some five frames, and holds for a second of video.
 _VELOCITY_RATE, _COAST_FRAMES = 0.2, 30
+
+
+@dataclass(frozen=True, slots=True)
+class Look:
+    """A look at a frame that the network has still to judge."""
+
+    around: Target
+    """centre and size that the region is laid about"""
+    region: Image
+    """search crop ``(S, S, 3)`` uint8, BGR"""
+    kernels: Any
+    """of the target's template, as the engine gave them"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,8 +71,8 @@ class Tracker:
         search_size: int | None = None,
         plain: bool = False,
     ):
-        self._engine: Engine = open_engine(model, engine, threads, search_size)
-        spec = self._engine.spec
+        self.engine: Engine = open_engine(model, engine, threads, search_size)
+        spec = self.engine.spec
         self.spec = spec
         self._plain = plain
         cells = score_size(spec.search_size, spec.template_size)
@@ -89,9 +102,8 @@ class Tracker:
         self._lost_for = 0
         self._velocity = (0.0, 0.0)
         self._coasted = 0
-        side = round(context_side(w, h))
         size = self.spec.template_size
-        self._kernels = self._engine.template(crop(frame, cx, cy, side, size, self._fill))
+        self._kernels = self.engine.template(target_crop(frame, (cx, cy, w, h), size, size, self._fill))
         return Track((x, y, w, h), 1.0, "tracking")
 
     def update(self, frame: Image) -> Track:
@@ -103,16 +115,40 @@ class Tracker:
         Raises:
             UserError: `init` was not called, or the frame is no such image.
         """
+        look = self.aim(frame)
+        return self.conclude(frame, look, *self.engine.search(look.region, look.kernels))
+
+    def aim(self, frame: Image, out: Image | None = None) -> Look:
+        """The first half of `update`: where to look in the next frame; the tracker itself stays as it is.
+
+        Args:
+            frame: ``(H, W, 3)`` uint8, BGR.
+            out: buffer ``(S, S, 3)`` for the region; by default one that the next look overwrites.
+
+        Raises:
+            UserError: `init` was not called, or the frame is no such image.
+        """
         if self._kernels is None:
             raise UserError("update() before init(): give the tracker a box on a first frame")
         _check_frame(frame)
         around = self._where_to_look(frame.shape)
-        found, apart = self.look(frame, around)
+        return Look(around, self._region(frame, around, self._buffer if out is None else out), self._kernels)
+
+    def conclude(self, frame: Image, look: Look, scores: FloatMap, boxes: FloatMap) -> Track:
+        """The second half of `update`: what the network's answer to a look means for the target.
+
+        Args:
+            frame: the frame that was looked at.
+            look: what `aim` gave for it.
+            scores: ``(N, N)``.
+            boxes: ``(N, N, 4)`` as x0, y0, x1, y1 in pixels of the region.
+        """
+        found, apart = self._read(look.around, scores, boxes)
         if self._plain:
             self._move(found, self.spec.constants.test_lr * found.penalty * found.score, frame)
             return Track(self._box(), found.score, "tracking")
         value = confidence(found.score, apart, self.spec.calibration)
-        return self._judge(frame, found, value, elsewhere=around != self._target)
+        return self._judge(frame, found, value, elsewhere=look.around != self._target)
 
     def look(self, frame: Image, around: Target) -> tuple[Estimate, float]:
         """What one search region says; the tracker itself stays as it is.
@@ -124,10 +160,23 @@ class Tracker:
         Returns:
             The estimate, and its contrast (see `psiamfcpp.tracking.procedure.contrast`).
         """
+        region = self._region(frame, around, self._buffer)
+        return self._read(around, *self.engine.search(region, self._kernels))
+
+    def another(self) -> Tracker:
+        """A tracker without a target yet, on the same engine and with the same options."""
+        other = copy.copy(self)
+        other._buffer = np.empty_like(self._buffer)
+        other._kernels = None
+        return other
+
+    def _region(self, frame: Image, around: Target, out: Image) -> Image:
         spec = self.spec
-        side = round(context_side(around.w, around.h) * spec.search_size / spec.template_size)
-        region = crop(frame, around.cx, around.cy, side, spec.search_size, self._fill, self._buffer)
-        scores, boxes = self._engine.search(region, self._kernels)
+        place = (around.cx, around.cy, around.w, around.h)
+        return target_crop(frame, place, spec.search_size, spec.template_size, self._fill, out)
+
+    def _read(self, around: Target, scores: FloatMap, boxes: FloatMap) -> tuple[Estimate, float]:
+        spec = self.spec
         found = estimate(scores, boxes, around, spec.search_size, spec.template_size, spec.constants, self._window)
         return found, contrast(scores, boxes, found.cell)
 

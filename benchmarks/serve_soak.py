@@ -1,0 +1,195 @@
+"""Does the server stay as it is? Clients that come, go, sleep and attack, for as long as asked.
+
+    python benchmarks/serve_soak.py --minutes 20 --model siamfcpp-alexnet
+
+Starts `psiamfcpp serve` on a rendered clip in a process of its own, connects and disconnects, keeps four clients that
+read nothing and one that reads all, sends what is wrong, and samples the server's memory, threads and sockets. Prints
+one JSON object; Linux only, since it reads /proc.
+"""
+
+from __future__ import annotations
+
+import json
+import random
+import re
+import socket
+import statistics
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from pathlib import Path
+from typing import Any
+
+import httpx
+import tyro
+from websockets.exceptions import ConnectionClosed, InvalidStatus
+from websockets.sync.client import connect
+
+from psiamfcpp.video.demo_clip import render
+from psiamfcpp.video.writer import VideoWriter
+from psiamfcpp.zoo import DEFAULT_MODEL
+
+
+def main(
+    minutes: float = 5.0,
+    connects: int = 200,
+    model: str = DEFAULT_MODEL,
+    threads: int = 1,
+    search_size: int | None = None,
+    fps: float = 30.0,
+    frames: int = 300,
+    mavlink_port: int = 14580,
+) -> None:
+    """Run it and print what was seen.
+
+    Args:
+        minutes: how long to watch after the connects.
+        connects: connections that are opened and closed first.
+        model: name of a shipped model, or a model file.
+        threads: threads of the engine.
+        search_size: side of the search crop in pixels.
+        fps: of the stream.
+        frames: length of the clip, which is played over and over.
+        mavlink_port: UDP port on loopback that is sent random bytes.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        clip = Path(folder) / "clip.mp4"
+        with VideoWriter(clip, fps, (1280, 720)) as video:
+            for shot in render(0, frames):
+                video.write(shot.image)
+        command = [sys.executable, "-m", "psiamfcpp", "serve", str(clip), "--port", "0", "--model", model]
+        command += ["--threads", str(threads), "--mavlink", f"udpin:127.0.0.1:{mavlink_port}"]
+        command += [] if search_size is None else ["--search-size", str(search_size)]
+        with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as server:
+            assert server.stderr is not None
+            line = server.stderr.readline()
+            match = re.search(r"http://(127\.0\.0\.1:\d+)/", line)
+            if match is None:
+                sys.exit(line)
+            try:
+                result = soak(match[1], server.pid, minutes, connects, mavlink_port)
+            finally:
+                server.terminate()
+            result["exit_code"] = server.wait(30)
+            result["said"] = server.stderr.read()
+    print(json.dumps(result, indent=2))
+
+
+def soak(address: str, process: int, minutes: float, connects: int, mavlink_port: int) -> dict[str, Any]:
+    """Everything against one server; what was seen."""
+    done = threading.Event()
+    latencies: list[float] = []
+    trackers: list[float] = []
+    reader = threading.Thread(target=watch, args=(address, done, latencies, trackers))
+    reader.start()
+    time.sleep(5)
+    samples = [sample(process)]
+    for number in range(connects):
+        touch(address, abrupt=number % 2 == 1)
+    time.sleep(12)
+    samples.append(sample(process))
+    refusals: dict[str, int] = {}
+    slow = [connect(f"ws://{address}/api/live", max_queue=1).__enter__() for _ in range(4)]
+    for client in slow:
+        for _ in range(3):
+            client.send('{"type": "frame"}')
+    end = time.monotonic() + 60 * minutes
+    while time.monotonic() < end:
+        attack(address, mavlink_port, refusals)
+        time.sleep(10)
+        samples.append(sample(process))
+    for client in slow:
+        client.socket.close()
+    time.sleep(12)
+    samples.append(sample(process))
+    done.set()
+    reader.join()
+    beyond = [sent - own for sent, own in zip(latencies, trackers, strict=True)]
+    return {
+        "connects": connects,
+        "minutes": minutes,
+        "boxes_received": len(latencies),
+        "read_to_sent_ms_median": statistics.median(latencies),
+        "tracker_ms_median": statistics.median(trackers),
+        "beyond_tracker_ms_median": statistics.median(beyond),
+        "refusals": refusals,
+        "samples": samples,
+    }
+
+
+def watch(address: str, done: threading.Event, latencies: list[float], trackers: list[float]) -> None:
+    """A page: takes every picture, and starts a target whenever there is none."""
+    with connect(f"ws://{address}/api/live?client=watcher", max_size=None) as client:
+        client.send('{"type": "frame"}')
+        while not done.is_set():
+            message = client.recv(timeout=60)
+            if isinstance(message, bytes):
+                client.send('{"type": "frame"}')
+                continue
+            told = json.loads(message)
+            if told["type"] != "state":
+                continue
+            if told["latency_ms"] is not None and told["targets"]:
+                latencies.append(told["latency_ms"])
+                trackers.append(told["tracker_ms"])
+            if not told["targets"] and told["frame"] % 15 == 0:
+                client.send('{"type": "start", "box": [600, 330, 60, 60]}')
+
+
+def touch(address: str, abrupt: bool) -> None:
+    """Connect, take a picture and leave, with a word or without."""
+    client = connect(f"ws://{address}/api/live").__enter__()
+    client.send('{"type": "frame"}')
+    client.recv(timeout=60)
+    if abrupt:
+        client.socket.close()
+    else:
+        client.close()
+
+
+def attack(address: str, mavlink_port: int, refusals: dict[str, int]) -> None:
+    """What must be refused; counts how it was."""
+
+    def count(what: object) -> None:
+        refusals[str(what)] = refusals.get(str(what), 0) + 1
+
+    with httpx.Client(base_url=f"http://{address}", timeout=60) as http:
+        for body in (b'{"box": [NaN, 0, 1, 1]}', b'{"box": [9e4, 0, 5, 5]}', b"{", b"x" * 100_000):
+            count(http.post("/api/targets", content=body, headers={"Content-Type": "application/json"}).status_code)
+        count(http.delete("/api/targets", headers={"Origin": "http://elsewhere"}).status_code)
+        count(http.delete("/api/targets", headers={"X-Client": "other"}).status_code)
+    try:
+        with connect(f"ws://{address}/api/live", origin="http://elsewhere"):  # type: ignore[arg-type]
+            count("foreign origin let in")
+    except InvalidStatus as refusal:
+        count(refusal.response.status_code)
+    for text in ("x" * 50_000, '{"type": "start", "box": [1, 1, 50, 50]}'):
+        try:
+            with connect(f"ws://{address}/api/live", max_size=None) as client:
+                for _ in range(1000):
+                    client.send(text)
+                while True:
+                    client.recv(timeout=5)
+        except (ConnectionClosed, TimeoutError) as gone:
+            closing = getattr(gone, "rcvd", None)
+            count(f"socket closed with {closing.code}" if closing else "socket ignored")
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as station:
+        for _ in range(2000):
+            station.sendto(bytes([0xFD]) + random.randbytes(random.randrange(300)), ("127.0.0.1", mavlink_port))
+
+
+def sample(process: int) -> dict[str, float]:
+    """Resident memory in MiB, threads and sockets of a process now."""
+    status = Path(f"/proc/{process}/status").read_text()
+    links = [link.readlink().name for link in Path(f"/proc/{process}/fd").iterdir() if link.is_symlink()]
+    return {
+        "memory_mib": round(int(re.search(r"VmRSS:\s+(\d+)", status)[1]) / 1024, 1),  # type: ignore[index]
+        "threads": int(re.search(r"Threads:\s+(\d+)", status)[1]),  # type: ignore[index]
+        "sockets": sum("socket" in link for link in links),
+    }
+
+
+if __name__ == "__main__":
+    tyro.cli(main)

@@ -1,0 +1,155 @@
+"""Who may command, how often, and what the commands are: the same for the page, the API and MAVLink."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+
+from psiamfcpp.errors import UserError
+from psiamfcpp.geometry import Box
+from psiamfcpp.serve.follower import BusyError, Follower
+from psiamfcpp.serve.propose import propose_box
+from psiamfcpp.serve.recorder import Recorder
+
+# Each start runs the template branch once; a hand never asks for more than this.
+_COMMANDS_PER_S, _COMMANDS_AT_ONCE = 5.0, 10.0
+LEASE_S = 15.0
+
+
+class NotOperatorError(UserError):
+    """Another client is in control."""
+
+
+class TooManyError(UserError):
+    """Commands come faster than they are taken."""
+
+
+class Lease:
+    """Who controls: whoever took it first, until it is released or its holder gave no sign of life for a while."""
+
+    def __init__(self, clock: Callable[[], float] = time.monotonic):
+        self._clock = clock
+        self._lock = threading.Lock()
+        self._holder: str | None = None
+        self._seen = 0.0
+
+    @property
+    def holder(self) -> str | None:
+        """The client in control."""
+        with self._lock:
+            return self._current()
+
+    def claim(self, client: str) -> bool:
+        """Take control if nobody has it; whether the client now has it."""
+        with self._lock:
+            if self._current() in (None, client):
+                self._holder, self._seen = client, self._clock()
+            return self._holder == client
+
+    def keep(self, client: str) -> None:
+        """A sign of life."""
+        with self._lock:
+            if self._current() == client:
+                self._seen = self._clock()
+
+    def release(self, client: str) -> None:
+        """Give control up, if the client has it."""
+        with self._lock:
+            if self._holder == client:
+                self._holder = None
+
+    def _current(self) -> str | None:
+        if self._holder is not None and self._clock() - self._seen > LEASE_S:
+            self._holder = None
+        return self._holder
+
+
+class Bucket:
+    """A rate limit that allows short bursts (a token bucket)."""
+
+    def __init__(self, per_s: float, at_once: float, clock: Callable[[], float] = time.monotonic):
+        self._per_s, self._at_once, self._clock = per_s, at_once, clock
+        self._lock = threading.Lock()
+        self._left, self._at = at_once, clock()
+
+    def take(self) -> bool:
+        """Whether one more is allowed now."""
+        with self._lock:
+            now = self._clock()
+            self._left = min(self._at_once, self._left + (now - self._at) * self._per_s)
+            self._at = now
+            if self._left < 1:
+                return False
+            self._left -= 1
+            return True
+
+
+class Control:
+    """The commands. Each takes the name of the client that gives it, and blocks until it is carried out.
+
+    All raise `NotOperatorError` while another client is in control, `TooManyError` above the allowed rate,
+    `BusyError` where it may succeed later, and another `UserError` where what is asked for is wrong. A client that
+    commands while nobody is in control takes it.
+    """
+
+    def __init__(self, follower: Follower, recorder: Recorder | None = None):
+        self.follower, self.recorder = follower, recorder
+        self.lease = Lease()
+        self._bucket = Bucket(_COMMANDS_PER_S, _COMMANDS_AT_ONCE)
+
+    def start(self, client: str, box: Box) -> tuple[int, Box]:
+        """Follow the target in a box ``(x, y, w, h)``, pixels of the frame; its number and its box."""
+        self._admit(client)
+        number, track = self.follower.add(box)
+        return number, track.box
+
+    def start_at(self, client: str, x: float, y: float) -> tuple[int, Box]:
+        """Follow what lies under a point, pixels of the frame; its number and its box."""
+        self._admit(client)
+        shot = self.follower.newest
+        if shot is None:
+            raise BusyError("no frame has come yet: try again")
+        number, track = self.follower.add(propose_box(shot.image, x, y), shot.image)
+        return number, track.box
+
+    def propose(self, client: str, x: float, y: float) -> Box:
+        """The box that a point would be given."""
+        self._admit(client)
+        shot = self.follower.newest
+        if shot is None:
+            raise BusyError("no frame has come yet: try again")
+        return propose_box(shot.image, x, y)
+
+    def stop(self, client: str, number: int | None = None) -> None:
+        """Let a target go, or all."""
+        self._admit(client)
+        if number is None:
+            self.follower.clear()
+        else:
+            self.follower.remove(number)
+
+    def select(self, client: str, number: int) -> None:
+        """Choose the target that MAVLink speaks of."""
+        self._admit(client)
+        self.follower.select(number)
+
+    def take(self, client: str) -> None:
+        """Take control without commanding anything."""
+        self._admit(client)
+
+    def record(self, client: str, on: bool) -> None:
+        """Begin or end a recording."""
+        self._admit(client)
+        if self.recorder is None:
+            raise UserError("nothing can be recorded: start the server with --record FOLDER")
+        if on:
+            self.recorder.start()
+        else:
+            self.recorder.stop()
+
+    def _admit(self, client: str) -> None:
+        if not self.lease.claim(client):
+            raise NotOperatorError("another client is in control: wait until it hands over or leaves")
+        if not self._bucket.take():
+            raise TooManyError(f"too many commands: at most {_COMMANDS_PER_S:g} a second are taken")

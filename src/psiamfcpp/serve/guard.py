@@ -1,0 +1,137 @@
+"""What every request must pass before anything looks at it: host, origin, token, size."""
+
+from __future__ import annotations
+
+import hashlib
+import hmac
+import ipaddress
+import json
+from http.cookies import CookieError, SimpleCookie
+from urllib.parse import urlsplit
+
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from psiamfcpp.errors import UserError
+
+COOKIE = "psiamfcpp_token"
+MAX_BODY = 16 * 1024
+SHORTEST_TOKEN = 12
+# What must be had before a token can be given.
+_OPEN_PATHS = {"/", "/page.css", "/page.js", "/api/login"}
+
+
+def check_address(host: str, token: str | None) -> None:
+    """Refuse to listen where others could command without a token.
+
+    Raises:
+        UserError: another address than this machine's own, and no token; or a token that can be guessed.
+    """
+    if token is not None and len(token) < SHORTEST_TOKEN:
+        raise UserError(f"the token has {len(token)} characters: give at least {SHORTEST_TOKEN}")
+    if token is None and not is_loopback(host):
+        raise UserError(f"--host {host} can be reached by others: give a --token that they must know")
+
+
+def is_loopback(host: str) -> bool:
+    """Whether an address or name is this machine's own."""
+    if host.lower() == "localhost":
+        return True
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return False
+
+
+class Guard:
+    """Middleware that refuses, in one line, what must not come in."""
+
+    def __init__(self, app: ASGIApp, token: str | None):
+        self._app = app
+        self._token = None if token is None else hashlib.sha256(token.encode()).digest()
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Serve a request, or refuse it."""
+        if scope["type"] not in ("http", "websocket"):
+            await self._app(scope, receive, send)
+            return
+        headers = {name.lower(): value.decode("latin-1") for name, value in scope["headers"]}
+        refusal = self._refusal(scope, headers)
+        if refusal is None:
+            await self._app(scope, _limited(receive, send) if scope["type"] == "http" else receive, send)
+        elif scope["type"] == "http":
+            await _answer(send, "http.response", *refusal)
+        else:
+            await receive()  # the handshake
+            await _answer(send, "websocket.http.response", *refusal)
+
+    def knows(self, token: str) -> bool:
+        """Whether this is the token, compared in a time that tells nothing about it."""
+        given = hashlib.sha256(token.encode("utf-8", "replace")).digest()
+        return self._token is None or hmac.compare_digest(given, self._token)
+
+    def _refusal(self, scope: Scope, headers: dict[bytes, str]) -> tuple[int, str] | None:
+        host = headers.get(b"host", "")
+        # A foreign page whose name was made to lead here still sends its own name.
+        if self._token is None and not is_loopback(_hostname(host)):
+            return 403, "this server answers to this machine's own names only"
+        origin = headers.get(b"origin")
+        changes = scope["type"] == "websocket" or scope["method"] not in ("GET", "HEAD")
+        if changes and origin is not None and _netloc(origin) != host.lower():
+            return 403, "requests from other sites' pages are refused"
+        length = headers.get(b"content-length", "0")
+        if not length.isdecimal() or int(length) > MAX_BODY:
+            return 413, f"a request may hold {MAX_BODY} bytes"
+        if self._token is None or scope["path"] in _OPEN_PATHS:
+            return None
+        if not self.knows(_token(headers)):
+            return 401, "a token is needed: send it as 'Authorization: Bearer TOKEN'"
+        return None
+
+
+def _hostname(host: str) -> str:
+    try:
+        return urlsplit(f"//{host}").hostname or ""
+    except ValueError:
+        return ""
+
+
+def _netloc(origin: str) -> str:
+    try:
+        return urlsplit(origin).netloc.lower()
+    except ValueError:
+        return ""
+
+
+def _token(headers: dict[bytes, str]) -> str:
+    kind, _, token = headers.get(b"authorization", "").partition(" ")
+    if kind.lower() == "bearer":
+        return token.strip()
+    try:
+        morsel = SimpleCookie(headers.get(b"cookie", "")).get(COOKIE)
+    except CookieError:
+        morsel = None
+    return morsel.value if morsel else ""
+
+
+def _limited(receive: Receive, send: Send) -> Receive:
+    """The same body, cut off where it is longer than it said or than is allowed."""
+    size = 0
+
+    async def take() -> Message:
+        nonlocal size
+        message = await receive()
+        size += len(message.get("body", b""))
+        if size > MAX_BODY:
+            return {"type": "http.disconnect"}
+        return message
+
+    return take
+
+
+async def _answer(send: Send, kind: str, code: int, text: str) -> None:
+    body = json.dumps({"error": text}).encode()
+    headers = [(b"content-type", b"application/json"), (b"content-length", str(len(body)).encode())]
+    if code == 401:
+        headers.append((b"www-authenticate", b"Bearer"))
+    await send({"type": f"{kind}.start", "status": code, "headers": headers})
+    await send({"type": f"{kind}.body", "body": body})

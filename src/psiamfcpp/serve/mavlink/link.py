@@ -1,0 +1,196 @@
+"""Bytes to and from ground stations and autopilots, by UDP or a serial line, however often the other end leaves."""
+
+from __future__ import annotations
+
+import contextlib
+import socket
+import time
+from collections.abc import Callable
+from typing import Any, Protocol
+
+from psiamfcpp.errors import UserError
+
+_FORMS = "udpout:HOST:PORT, udpin:HOST:PORT or serial:DEVICE[:BAUD]"
+_SERIAL_BAUD = 57600
+_MOST_PEERS = 8
+_PEER_S = 15.0
+_REOPEN_S = 1.0
+# A ground station and an autopilot send some dozens of packets a second; more would take time from the tracker.
+_MOST_PER_S = 500
+_MARKS = (0xFD, 0xFE)
+
+Peer = Any
+
+
+class Link(Protocol):
+    """A way to other MAVLink systems."""
+
+    whole: bool
+    """what `receive` gives are whole packets, not parts of a stream"""
+
+    def receive(self, timeout: float) -> tuple[bytes, Peer] | None:
+        """Bytes and where they came from; None if none came in time."""
+        ...
+
+    def accept(self, peer: Peer) -> None:
+        """What came from a peer was MAVLink: it is spoken to from now on."""
+        ...
+
+    def send(self, data: bytes) -> None:
+        """To all peers; what cannot be sent is lost."""
+        ...
+
+    def close(self) -> None:
+        """Let go of port or device."""
+        ...
+
+
+def open_link(text: str) -> Link:
+    """Open what a text names.
+
+    Args:
+        text: ``udpout:HOST:PORT`` sends there; ``udpin:HOST:PORT`` waits for others and answers all who speak
+            MAVLink; ``serial:DEVICE[:BAUD]`` is a serial line.
+
+    Raises:
+        UserError: the text names no link, or it cannot be opened.
+    """
+    kind, _, rest = text.partition(":")
+    if kind == "serial" and rest:
+        device, _, baud = rest.partition(":")
+        if baud and not baud.isdecimal():
+            raise UserError(f"mavlink {text}: {baud!r} is no baud rate")
+        return SerialLink(device, int(baud) if baud else _SERIAL_BAUD)
+    host, _, port = rest.rpartition(":")
+    if kind not in ("udpout", "udpin") or not host or not port.isdecimal() or not 0 < int(port) < 65536:
+        raise UserError(f"mavlink {text!r} is no link: give {_FORMS}")
+    try:
+        return UdpLink(host.strip("[]"), int(port), listen=kind == "udpin")
+    except (OSError, UnicodeError) as error:
+        raise UserError(f"mavlink {text} cannot be opened: {getattr(error, 'strerror', None) or error}") from None
+
+
+class UdpLink:
+    """See `Link`."""
+
+    whole = True
+
+    def __init__(self, host: str, port: int, listen: bool, clock: Callable[[], float] = time.monotonic):
+        family, kind, protocol, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)[0]
+        self._clock = clock
+        self._fixed = None if listen else address
+        self._peers: dict[Peer, float] = {}
+        self._second, self._count = 0, 0
+        self._socket = socket.socket(family, kind, protocol)
+        if listen:
+            try:
+                self._socket.bind(address)
+            except BaseException:
+                self._socket.close()
+                raise
+
+    def receive(self, timeout: float) -> tuple[bytes, Peer] | None:
+        """See `Link`."""
+        self._socket.settimeout(max(timeout, 0.001))
+        try:
+            data, peer = self._socket.recvfrom(2048)
+        except OSError:
+            # nothing in time; or nobody was there for what was sent last, which UDP tells here
+            return None
+        # cheaply, before anything is parsed
+        if not data or data[0] not in _MARKS or self._too_many():
+            return None
+        return data, peer
+
+    def accept(self, peer: Peer) -> None:
+        """See `Link`."""
+        if peer in self._peers or len(self._peers) < _MOST_PEERS:
+            self._peers[peer] = self._clock()
+
+    def send(self, data: bytes) -> None:
+        """See `Link`."""
+        now = self._clock()
+        self._peers = {peer: seen for peer, seen in self._peers.items() if now - seen < _PEER_S}
+        for peer in {self._fixed, *self._peers} - {None}:
+            with contextlib.suppress(OSError):  # nobody there, or no route: it may come back
+                self._socket.sendto(data, peer)
+
+    def close(self) -> None:
+        """See `Link`."""
+        self._socket.close()
+
+    def _too_many(self) -> bool:
+        second = int(self._clock())
+        self._count = self._count + 1 if second == self._second else 1
+        self._second = second
+        return self._count > _MOST_PER_S
+
+
+class SerialLink:
+    """See `Link`; a device that is unplugged is opened again when it is back."""
+
+    whole = False
+
+    def __init__(self, device: str, baud: int):
+        """Open the device.
+
+        Raises:
+            UserError: it cannot be opened.
+        """
+        import serial
+
+        self._serial = serial
+        self._device, self._baud = device, baud
+        self._tried = 0.0
+        try:
+            self._port = self._open()
+        except (serial.SerialException, OSError, ValueError) as error:
+            raise UserError(f"mavlink serial:{device} cannot be opened: {error}") from None
+
+    def receive(self, timeout: float) -> tuple[bytes, Peer] | None:
+        """See `Link`."""
+        if self._port is None:
+            self._reopen(timeout)
+            return None
+        try:
+            self._port.timeout = timeout
+            first = self._port.read(1)
+            data = first + self._port.read(min(self._port.in_waiting, 2048)) if first else b""
+        except (self._serial.SerialException, OSError, TypeError):
+            self.close()
+            return None
+        return (data, self._device) if data else None
+
+    def accept(self, peer: Peer) -> None:
+        """See `Link`."""
+
+    def send(self, data: bytes) -> None:
+        """See `Link`."""
+        if self._port is None:
+            return
+        try:
+            self._port.write(data)
+        except self._serial.SerialTimeoutException:
+            # the other end takes nothing: what is old would not help it later
+            self._port.reset_output_buffer()
+        except (self._serial.SerialException, OSError):
+            self.close()
+
+    def close(self) -> None:
+        """See `Link`."""
+        if self._port is not None:
+            with contextlib.suppress(self._serial.SerialException, OSError):
+                self._port.close()
+            self._port = None
+
+    def _open(self):  # type: ignore[no-untyped-def]
+        return self._serial.Serial(self._device, self._baud, timeout=0.05, write_timeout=0.2)
+
+    def _reopen(self, timeout: float) -> None:
+        time.sleep(timeout)
+        now = time.monotonic()
+        if now - self._tried < _REOPEN_S:
+            return
+        self._tried = now
+        with contextlib.suppress(self._serial.SerialException, OSError, ValueError):
+            self._port = self._open()

@@ -1,0 +1,172 @@
+"""What clients may send, with its limits; and what the API answers, for its documentation."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, TypeAdapter
+
+# No camera has more pixels a side; beyond, a number is a mistake.
+Number = Annotated[float, Field(allow_inf_nan=False, ge=-1e5, le=1e5)]
+Identifier = Annotated[int, Field(ge=1, le=10**9)]
+Box = tuple[Number, Number, Number, Number]
+Point = tuple[Number, Number]
+
+
+class _Strict(BaseModel):
+    model_config = ConfigDict(extra="forbid")
+
+
+class StartBody(_Strict):
+    """A target: its box, or a point on it. Pixels of the frame, 0-based."""
+
+    box: Box | None = Field(None, description="x, y, w, h")
+    point: Point | None = Field(None, description="x, y; a box is proposed there")
+
+
+class PointBody(_Strict):
+    """A point of the frame."""
+
+    point: Point = Field(description="x, y in pixels, 0-based")
+
+
+class SelectBody(_Strict):
+    """A choice among the targets."""
+
+    id: Identifier
+
+
+class LoginBody(_Strict):
+    """The token that the server was started with."""
+
+    token: str = Field(max_length=1000)
+
+
+class Bearing(BaseModel):
+    """Direction from the camera's axis, given the camera's field of view."""
+
+    azimuth_deg: float = Field(description="right is positive")
+    elevation_deg: float = Field(description="up is positive")
+
+
+class Target(BaseModel):
+    """A target in the newest frame."""
+
+    id: int
+    box: Box = Field(description="x, y, w, h in pixels of the frame, 0-based")
+    score: float = Field(description="calibrated probability that the target is in the box, 0..1")
+    state: Literal["tracking", "unsure", "lost"]
+    bearing: Bearing | None = Field(None, description="only with --fov")
+
+
+class Source(BaseModel):
+    """Where frames come from."""
+
+    name: str
+    state: Literal["playing", "silent"] = Field(description="silent: no frame for two seconds; it is being reopened")
+    age_ms: float | None = Field(description="since the last frame was read")
+
+
+class State(BaseModel):
+    """The newest moment."""
+
+    frame: int = Field(description="frames looked at so far")
+    width: int
+    height: int
+    fps: float = Field(description="frames looked at in a second, of late")
+    tracker_ms: float | None = Field(description="time that tracking took in this frame")
+    source: Source
+    targets: list[Target]
+    selected: int | None = Field(description="the target that MAVLink speaks of")
+    operator: Literal["none", "you", "other"] = Field(description="who is in control")
+    recording: bool | None = Field(description="null where recording was not allowed with --record")
+    clients: int = Field(description="programs and pages connected to /api/live")
+    latency_ms_median: float | None = Field(description="of the last 60 boxes sent: frame read to box sent")
+
+
+class Started(BaseModel):
+    """A target that is now followed."""
+
+    id: int
+    box: Box
+
+
+class Proposal(BaseModel):
+    """A box for a point."""
+
+    box: Box
+
+
+class EventOut(BaseModel):
+    """Something that happened."""
+
+    number: int
+    time: float = Field(description="seconds since 1970")
+    text: str
+
+
+class Done(BaseModel):
+    """Nothing more to say."""
+
+    ok: Literal[True] = True
+
+
+class Refusal(BaseModel):
+    """Why not, in one line."""
+
+    error: str
+
+
+class FrameWish(_Strict):
+    """Send the JPEG of the next frame that I have not had."""
+
+    type: Literal["frame"]
+
+
+class StartMessage(StartBody):
+    """Follow a target."""
+
+    type: Literal["start"]
+    request: int | None = None
+
+
+class StopMessage(_Strict):
+    """Let a target go; without an id, all."""
+
+    type: Literal["stop"]
+    id: Identifier | None = None
+    request: int | None = None
+
+
+class SelectMessage(SelectBody):
+    """Choose the target that MAVLink speaks of."""
+
+    type: Literal["select"]
+    request: int | None = None
+
+
+class ProposeMessage(PointBody):
+    """Ask for the box that a point would be given."""
+
+    type: Literal["propose"]
+    request: int | None = None
+
+
+class OperatorMessage(_Strict):
+    """Take control, or hand it over."""
+
+    type: Literal["operator"]
+    take: bool
+    request: int | None = None
+
+
+class RecordMessage(_Strict):
+    """Begin or end a recording."""
+
+    type: Literal["record"]
+    on: bool
+    request: int | None = None
+
+
+Command = StartMessage | StopMessage | SelectMessage | ProposeMessage | OperatorMessage | RecordMessage
+MESSAGE: TypeAdapter[FrameWish | Command] = TypeAdapter(Annotated[FrameWish | Command, Field(discriminator="type")])
