@@ -37,6 +37,17 @@ def tiny_model(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="session")
+def tiny_graphs(tiny_model: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The graphs of `tiny_model`."""
+    pytest.importorskip("onnx")
+    from psiamfcpp.cli import main
+
+    folder = tmp_path_factory.mktemp("graphs") / "tiny"
+    assert main(["export", str(tiny_model), "-o", str(folder), "--pairs", "4"]) == 0
+    return folder
+
+
+@pytest.fixture(scope="session")
 def shared_data() -> Path:
     """The folder of research data beside the repository; tests that want it are skipped where it is absent."""
     given = os.environ.get("PSIAMFCPP_SHARED")
@@ -57,6 +68,7 @@ class BlobEngine:
         """score everywhere else"""
         self.templates: list[Image] = []
         self.searches: list[Image] = []
+        self.batches: list[list[int]] = []
 
     def template(self, crop: Image) -> int:
         self.templates.append(crop.copy())
@@ -64,6 +76,14 @@ class BlobEngine:
 
     def search(self, crop: Image, kernels: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         assert kernels == len(self.templates), "kernels of an older target"
+        return self._see(crop)
+
+    def search_many(self, crops: Image, kernels: list[int]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        self.batches.append(list(kernels))
+        scores, boxes = zip(*(self._see(crop) for crop in crops), strict=True)
+        return np.stack(scores), np.stack(boxes)
+
+    def _see(self, crop: Image) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         self.searches.append(crop.copy())
         size = crop.shape[0]
         cells, first = score_size(size), first_cell(size)

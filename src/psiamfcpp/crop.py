@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from psiamfcpp.geometry import Image
+from psiamfcpp.geometry import Image, context_side
 
 Colour = tuple[float, float, float]
 
@@ -15,6 +15,31 @@ def mean_colour(frame: Image) -> Colour:
     """Channel means (BGR) of a frame ``(H, W, 3)``: the fill of SiamFC for what lies outside of it."""
     b, g, r, _ = cv2.mean(frame)
     return (b, g, r)
+
+
+def target_crop(
+    frame: Image,
+    target: tuple[float, float, float, float],
+    size: int,
+    template_size: int,
+    fill: Colour,
+    out: Image | None = None,
+) -> Image:
+    """The crop about a target that a template or a search branch is given.
+
+    Args:
+        frame: ``(H, W, 3)`` uint8, BGR.
+        target: centre and size ``(cx, cy, w, h)`` in the frame.
+        size: side of the crop in pixels; a crop of ``template_size`` holds the target with its context.
+        template_size: side of a template crop in pixels.
+        fill: colour (BGR) of what lies outside the frame.
+        out: buffer ``(size, size, 3)`` to write to.
+
+    Returns:
+        ``(size, size, 3)`` uint8, BGR; ``out`` itself if given.
+    """
+    cx, cy, w, h = target
+    return crop(frame, cx, cy, round(context_side(w, h) * size / template_size), size, fill, out)
 
 
 def crop(frame: Image, cx: float, cy: float, side: float, size: int, fill: Colour, out: Image | None = None) -> Image:

@@ -2,13 +2,24 @@
 
 from __future__ import annotations
 
+import json
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
-# None in sys.modules makes the import fail as if the package were not installed.
-_WITHOUT = "import sys; sys.modules.update(dict.fromkeys(('torch', 'safetensors', 'matplotlib', 'av', 'scipy')));"
+_NAMES = ("torch", "safetensors", "matplotlib", "onnx", "openvino", "av", "scipy")
+# A finder before all others, so that these fail as if not installed; None in sys.modules would fool libraries that
+# ask there whether torch is in use.
+_WITHOUT = f"""
+import sys
+class Missing:
+    def find_spec(self, name, path=None, target=None):
+        if name.partition(".")[0] in {_NAMES}:
+            raise ModuleNotFoundError(f"No module named {{name!r}}", name=name)
+sys.meta_path.insert(0, Missing())
+"""
 
 
 def _python(code: str) -> subprocess.CompletedProcess[str]:
@@ -16,7 +27,8 @@ def _python(code: str) -> subprocess.CompletedProcess[str]:
 
 
 def test_the_library_and_every_command_without_torch_can_be_imported() -> None:
-    done = _python("import psiamfcpp; from psiamfcpp.cli import demo, track, evaluate, score, datasets, info, import_")
+    commands = "demo, track, serve, evaluate, score, report, datasets, info, import_, bench, export"
+    done = _python(f"import psiamfcpp; from psiamfcpp.cli import {commands}")
     assert (done.returncode, done.stderr) == (0, "")
 
 
@@ -24,9 +36,14 @@ def test_the_library_and_every_command_without_torch_can_be_imported() -> None:
     "args",
     [
         ["info", "siamfcpp-alexnet"],
-        ["demo", "--frames", "2"],
+        ["demo", "--frames", "2", "--engine", "torch", "--model", "siamfcpp-alexnet"],
+        ["export", "siamfcpp-alexnet", "-o", "x"],
         ["import", "x.pkl", "-o", "y.safetensors"],
         ["train", "--data", "folder:.", "--init", "x", "-o", "y"],
+        ["rank", "siamfcpp-alexnet", "--data", "folder:.", "-o", "y.json"],
+        ["plan", "ranks.json", "--remove", "0.5"],
+        ["prune", "siamfcpp-alexnet", "--plan", "x.json", "-o", "y.safetensors"],
+        ["sensitivity", "siamfcpp-alexnet", "--ranks", "x.json", "--root", ".", "-o", "y"],
     ],
     ids=lambda args: args[0],
 )
@@ -35,3 +52,30 @@ def test_what_needs_torch_says_how_to_get_it(args: list[str]) -> None:
     assert done.returncode == 2
     assert done.stderr.count("\n") == 1
     assert "pip install 'psiamfcpp[train]'" in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("missing", "args", "extra"),
+    [
+        ("fastapi starlette uvicorn websockets", ["serve", "x"], "serve"),
+        ("websockets", ["serve", "x"], "serve"),
+        ("pymavlink", ["serve", "x", "--port", "0", "--mavlink", "udpin:127.0.0.1:14572"], "mavlink"),
+        ("serial", ["serve", "x", "--port", "0", "--mavlink", "serial:/dev/null"], "mavlink"),
+    ],
+)
+def test_what_serving_needs_says_how_to_get_it(missing: str, args: list[str], extra: str) -> None:
+    code = f"import sys; sys.modules.update(dict.fromkeys({missing.split()!r}));"
+    code += f"from psiamfcpp.cli import main; sys.exit(main({args!r}))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr.count("\n") == 1
+    assert f"pip install 'psiamfcpp[{extra}]'" in done.stderr
+
+
+def test_the_demo_runs_on_the_shipped_graphs(tmp_path: Path) -> None:
+    args = ["demo", "--frames", "4", "--threads", "1", "--json", "-o", str(tmp_path / "demo.mp4")]
+    done = _python(f"from psiamfcpp.cli import main; sys.exit(main({args!r}))")
+    assert (done.returncode, done.stderr) == (0, "")
+    told = json.loads(done.stdout)
+    assert told["frames"] == 4
+    assert (tmp_path / "demo.mp4").stat().st_size > 0

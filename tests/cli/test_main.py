@@ -17,10 +17,12 @@ from psiamfcpp.cli import COMMANDS
 from .conftest import Run
 
 REQUIRED = {
-    "track": "--box",
+    "track": "STR",
     "info": "STR",
+    "serve": "STR",
     "evaluate": "--root",
     "score": "--annotations",
+    "report": "--output",
     "train": "--data",
     "calibrate": "--data",
     "import": "PATH",
@@ -57,9 +59,10 @@ def test_every_command_has_help_that_names_its_options(run: Run, command: str) -
         "source",
         "model",
         "checkpoint",
+        "ranks",
     }
     assert options
-    for option in options:
+    for option in options - ({"results"} if command == "report" else set()):
         assert re.search(rf"--{option.replace('_', '-')}\b", ended.out), option
 
 
@@ -81,18 +84,19 @@ def test_an_unknown_command_is_answered_with_known_ones(run: Run, command: str, 
 
 @pytest.mark.parametrize("command", COMMANDS)
 def test_an_unknown_option_is_named(run: Run, command: str) -> None:
-    rest = {
-        "track": ["x", "--box", "1,2,3,4"],
-        "info": ["x"],
-        "evaluate": ["--root", "x"],
-        "score": ["--dataset", "dtb70", "--annotations", "x", "--results", "x"],
-        "train": ["--data", "x", "--init", "x", "-o", "x"],
-        "calibrate": ["x", "--data", "x", "-o", "x"],
-        "import": ["x", "-o", "x"],
-    }
-    assert (
-        "Unrecognized options: --no-such-option" in run(command, *rest.get(command, []), "--no-such-option").refused()
-    )
+    assert run(command, "--no-such-option", "x").refused().startswith("unknown option --no-such-option: ")
+
+
+@pytest.mark.parametrize(
+    "args",
+    [
+        ["track", "clip.mp4", "--bxo", "1,2,3,4"],
+        ["track", "--bxo", "1,2,3,4", "clip.mp4"],
+        ["track", "--bxo=1,2,3,4", "clip.mp4", "--output", "out.mp4"],
+    ],
+)
+def test_a_misspelt_option_is_blamed_wherever_it_stands(run: Run, args: list[str]) -> None:
+    assert run(*args).refused() == "unknown option --bxo: did you mean --box?"
 
 
 @pytest.mark.parametrize(("command", "what"), REQUIRED.items())

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from psiamfcpp.tracking import Tracker
+from psiamfcpp.tracking import TargetPool
 from psiamfcpp.video.source import Source
 from psiamfcpp.video.writer import VideoWriter
 
@@ -202,7 +202,7 @@ def test_a_damaged_first_image_is_refused(run: Run, blob_engine: Any, pictures: 
     assert names(outputs) == []
 
 
-@pytest.mark.parametrize(("owner", "method"), [(Tracker, "update"), (Source, "__next__")])
+@pytest.mark.parametrize(("owner", "method"), [(TargetPool, "update"), (Source, "__next__")])
 def test_an_interruption_keeps_what_was_done(
     run: Run,
     blob_engine: Any,
@@ -214,7 +214,7 @@ def test_an_interruption_keeps_what_was_done(
 ) -> None:
     original, calls = getattr(owner, method), iter(range(1000))
     # the sixth frame does not come; the first one costs no update
-    last = 4 if owner is Tracker else 5
+    last = 4 if owner is TargetPool else 5
 
     def interrupted(*args: Any) -> Any:
         if next(calls) == last:
@@ -237,8 +237,43 @@ def test_an_interruption_before_the_first_frame_leaves_nothing(
     def interrupted(*_: Any) -> Any:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(Tracker, "init", interrupted)
+    monkeypatch.setattr(TargetPool, "add", interrupted)
     files = ("--output", outputs / "o.mp4", "--boxes", outputs / "b.txt")
     ended = run("track", clip, "--box", BOX, *files, "--json")
     assert (ended.code, ended.out, ended.complaint()) == (130, "", "interrupted")
     assert names(outputs) == []
+
+
+def test_several_targets_are_followed_and_written_each(
+    run: Run, blob_engine: Any, blob_frame: Callable[..., Any], tmp_path: Path, outputs: Path
+) -> None:
+    starts = [(60.0, 60.0, 40.0, 30.0), (520.0, 380.0, 30.0, 40.0)]
+    truth = [[(x + 2 * t, y - t, w, h) for t in range(6)] for x, y, w, h in starts]
+    clip = tmp_path / "two.mp4"
+    with VideoWriter(clip, 25, (640, 480)) as writer:
+        for pair in zip(*truth, strict=True):
+            writer.write(np.maximum(*(blob_frame(box, width=640, height=480) for box in pair)))
+    files = ("--output", outputs / "o.mp4", "--boxes", outputs / "b.txt")
+    ended = run("track", clip, "--box", "60,60,40,30", "--box", "520,380,30,40", *files, "--json")
+    assert (ended.code, ended.err) == (0, "")
+    result = json.loads(ended.out)
+    assert [target.keys() for target in result["targets"]] == [{"boxes", "scores", "states"}] * 2
+    assert result["boxes"] == result["targets"][0]["boxes"]
+    assert names(outputs) == ["b.1.txt", "b.2.txt", "o.mp4"]
+    for number, (target, expected) in enumerate(zip(result["targets"], truth, strict=True), start=1):
+        assert np.array(target["boxes"]) == pytest.approx(np.array(expected), abs=2)
+        assert read_boxes(outputs / f"b.{number}.txt") == pytest.approx(np.array(target["boxes"]), abs=0.006)
+    text = run("track", clip, "--box", "60,60,40,30", "--box", "520,380,30,40").out
+    assert text.strip().endswith("target 1 tracking in 6; target 2 tracking in 6")
+
+
+def test_one_wrong_box_among_several_is_refused_before_anything_is_written(
+    run: Run, blob_engine: Any, clip: Path, outputs: Path
+) -> None:
+    boxes = ("--box", BOX, "--box", "900,80,40,30", "--boxes", outputs / "b.txt")
+    assert "box 900,80,40,30 lies outside" in run("track", clip, *boxes).refused()
+    assert names(outputs) == []
+
+
+def test_without_a_box_it_is_asked_for(run: Run, blob_engine: Any, clip: Path) -> None:
+    assert "--box is missing: give x,y,w,h" in run("track", clip).refused()

@@ -22,16 +22,36 @@ COMMANDS = {
     "demo": "render an aerial clip, follow its target, and say how well",
     "track": "follow a target in a video, camera, stream or image folder",
     "info": "describe a model: widths, parameters, MACs, constants, provenance",
+    "serve": "follow targets for a browser, for programs and for a ground station",
     "evaluate": "run a tracker over a benchmark, or a folder of sequences, and score it",
     "score": "score boxes that trackers left behind, without the frames",
+    "report": "set trackers side by side on one page, with tables, plots and frames",
     "datasets": "list the benchmarks, where to get them, and what of them is there",
     "train": "train a network, or fine-tune one",
+    "rank": "average rank of each filter's map, as a table to plan pruning with",
+    "plan": "choose the filters to keep: shares, thresholds, the paper's, or a budget",
+    "prune": "cut a model down to the filters that a plan keeps",
+    "sensitivity": "what pruning each layer costs, and what other criteria are worth",
     "calibrate": "fit the confidence that parts tracking, unsure and lost",
+    "bench": "time models, engines and peers in turn, and say where the time goes",
+    "export": "write the graphs that run a model without torch, checked against it",
     "import": "convert an official SiamFC++ checkpoint",
 }
 
-# What only the extra `train` installs.
-_OPTIONAL = ("matplotlib", "safetensors", "torch")
+# What only an extra installs, and which.
+_OPTIONAL = {
+    "matplotlib": "report",
+    "onnx": "train",
+    "safetensors": "train",
+    "torch": "train",
+    "torch_pruning": "train",
+    "fastapi": "serve",
+    "starlette": "serve",
+    "uvicorn": "serve",
+    "websockets": "serve",
+    "pymavlink": "mavlink",
+    "serial": "mavlink",
+}
 
 
 def main(args: list[str] | None = None) -> int:
@@ -58,9 +78,10 @@ def main(args: list[str] | None = None) -> int:
         print(f"psiamfcpp: {' '.join(str(error).split())}", file=sys.stderr)
         return 2
     except ModuleNotFoundError as error:
-        if error.name not in _OPTIONAL:
+        extra = _OPTIONAL.get((error.name or "").partition(".")[0])
+        if extra is None:
             raise
-        print(f"psiamfcpp: this needs {error.name}: pip install 'psiamfcpp[train]'", file=sys.stderr)
+        print(f"psiamfcpp: this needs {error.name}: pip install 'psiamfcpp[{extra}]'", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
         print("psiamfcpp: interrupted", file=sys.stderr)
@@ -82,17 +103,36 @@ def _run(command: str, args: list[str]) -> None:
     complaint = io.StringIO()
     try:
         with contextlib.redirect_stderr(complaint):
-            call = tyro.cli(
-                _deferred(function),
-                prog=f"psiamfcpp {command}",
-                args=args,
-                config=(tyro.conf.OmitArgPrefixes, tyro.conf.FlagCreatePairsOff),
-            )
+            call = _parse(command, function, args)
     except SystemExit as stop:
         if not stop.code:
             return
-        raise UserError(_one_line(complaint.getvalue())) from None
+        raise UserError(_misspelt(command, function, args) or _one_line(complaint.getvalue())) from None
     call()
+
+
+def _parse(command: str, function: Callable[..., None], args: list[str]) -> Callable[[], None]:
+    return tyro.cli(
+        _deferred(function),
+        prog=f"psiamfcpp {command}",
+        args=args,
+        config=(tyro.conf.OmitArgPrefixes, tyro.conf.FlagCreatePairsOff),
+    )
+
+
+def _misspelt(command: str, function: Callable[..., None], args: list[str]) -> str | None:
+    """A complaint about the first option that the command lacks: tyro takes some for values, and blames another."""
+    shown = io.StringIO()
+    with contextlib.redirect_stdout(shown), contextlib.suppress(SystemExit):
+        _parse(command, function, ["--help"])
+    known = set(re.findall(r"(?<![\w-])--[a-z][\w-]*", shown.getvalue()))
+    for arg in args:
+        option = arg.partition("=")[0].replace("_", "-")
+        if option.startswith("--") and option != "--" and option not in known:
+            near = difflib.get_close_matches(option, known, n=1)
+            hint = f"did you mean {near[0]}?" if near else f"`psiamfcpp {command} --help` lists its options"
+            return f"unknown option {option}: {hint}"
+    return None
 
 
 def _deferred(function: Callable[..., None]) -> Callable[..., Callable[[], None]]:
@@ -112,5 +152,5 @@ def _one_line(panel: str) -> str:
 
 
 def _overview() -> str:
-    rows = "\n".join(f"  {name:10}  {what}" for name, what in COMMANDS.items())
+    rows = "\n".join(f"  {name:11}  {what}" for name, what in COMMANDS.items())
     return f"usage: psiamfcpp COMMAND [OPTIONS]\n\n{rows}\n\n`psiamfcpp COMMAND --help` lists a command's options."

@@ -15,7 +15,7 @@ from psiamfcpp.cli.output import print_json, progress
 from psiamfcpp.errors import UserError
 from psiamfcpp.evaluation.metrics import score_sequence
 from psiamfcpp.geometry import Image
-from psiamfcpp.tracking import Tracker
+from psiamfcpp.tracking import TargetPool
 from psiamfcpp.video.demo_clip import DemoFrame, render
 from psiamfcpp.zoo import DEFAULT_MODEL
 
@@ -44,7 +44,7 @@ def demo(
     """
     if frames < 2:
         raise UserError(f"frames is {frames}: a clip needs at least 2")
-    tracker = Tracker(model, engine, threads)
+    pool = TargetPool(model, engine, threads)
     shots = render(seed, frames)
     first = next(shots)
     clip: list[DemoFrame] = []
@@ -57,15 +57,15 @@ def demo(
 
     with progress() as bar:
         task = bar.add_task("demo", total=frames)
-        result = follow(images(), tracker, first.box, FPS, output, None, lambda: bar.advance(task))
+        result = follow(images(), pool, [first.box], FPS, output, None, lambda: bar.advance(task))
     if result.ended:
         raise KeyboardInterrupt
     truth = np.array([shot.box for shot in clip])
     visible = np.array([shot.visible for shot in clip])
     # Where the target is hidden there is nothing to see, so nothing is asked: such frames are left out.
-    found = np.array([t.box for t in result.tracks])
+    found = np.array([track.box for (track,) in result.tracks])
     figures = score_sequence(truth[visible], found[visible]).figures
-    states = [t.state for t, seen in zip(result.tracks, visible, strict=True) if not seen]
+    states = [track.state for (track,), seen in zip(result.tracks, visible, strict=True) if not seen]
     hidden = {"hidden_frames": len(states), "hidden_not_tracking": sum(s != "tracking" for s in states)}
     if json:
         print_json({"frames": len(clip), "fps": result.fps, **figures, **hidden, "output": str(output)})

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -12,8 +12,8 @@ import numpy as np
 
 from psiamfcpp.errors import UserError
 from psiamfcpp.geometry import Box, Image
-from psiamfcpp.tracking import Track, Tracker
-from psiamfcpp.video.drawing import STATE_COLOURS, draw, draw_status
+from psiamfcpp.tracking import TargetPool, Track
+from psiamfcpp.video.drawing import draw_status, draw_targets
 from psiamfcpp.video.writer import BoxWriter, VideoWriter
 
 
@@ -21,7 +21,8 @@ from psiamfcpp.video.writer import BoxWriter, VideoWriter
 class Followed:
     """What was found, frame by frame."""
 
-    tracks: list[Track] = field(default_factory=list)
+    tracks: list[list[Track]] = field(default_factory=list)
+    """frame by frame, in each the targets in the order of their boxes"""
     seconds: list[float] = field(default_factory=list)
     """time of each init or update, apart from decoding and drawing"""
     ended: str = ""
@@ -36,49 +37,50 @@ class Followed:
 
 def follow(
     frames: Iterator[Image],
-    tracker: Tracker,
-    box: Box,
+    pool: TargetPool,
+    targets: Sequence[Box],
     fps: float,
     output: Path | None = None,
     boxes: Path | None = None,
     advance: Callable[[], None] = lambda: None,
 ) -> Followed:
-    """Follow a box through frames, writing as it goes.
+    """Follow boxes through frames, writing as it goes.
 
     An interruption or a source that breaks off ends it; what was written until then is complete.
 
     Args:
         frames: ``(H, W, 3)`` uint8, BGR.
-        tracker: the tracker to use.
-        box: the target on the first frame.
+        pool: what follows them; without targets yet.
+        targets: the boxes on the first frame, at least one.
         fps: frame rate of the written video.
         output: video to write, with box, score, state and speed.
-        boxes: text file to write, ``x,y,w,h`` a line.
+        boxes: text file to write, ``x,y,w,h`` a line; of several targets, a file each (see `boxes_paths`).
         advance: called after each frame.
 
     Raises:
-        UserError: the first frame cannot be had, the box is wrong, or a file cannot be written.
+        UserError: the first frame cannot be had, a box is wrong, or a file cannot be written.
     """
     result = Followed()
     with contextlib.ExitStack() as files:
         video: VideoWriter | None = None
-        box_file: BoxWriter | None = None
+        box_files: list[BoxWriter] = []
         try:
             while (frame := _next(frames, result)) is not None:
                 start = time.perf_counter()
-                track = tracker.update(frame) if result.tracks else tracker.init(frame, box)
+                tracks = pool.update(frame) if result.tracks else dict(pool.add(frame, box) for box in targets)
                 result.seconds.append(time.perf_counter() - start)
                 if not result.tracks:
                     # Not before a box was accepted: a wrong one must not cost the files of an earlier run.
                     if output:
                         video = files.enter_context(VideoWriter(output, fps, (frame.shape[1], frame.shape[0])))
                     if boxes:
-                        box_file = files.enter_context(BoxWriter(boxes))
-                result.tracks.append(track)
-                if box_file:
+                        paths = boxes_paths(boxes, len(targets))
+                        box_files = [files.enter_context(BoxWriter(path)) for path in paths]
+                result.tracks.append(list(tracks.values()))
+                for box_file, track in zip(box_files, tracks.values(), strict=False):
                     box_file.write(track.box)
                 if video:
-                    video.write(annotate(frame, track, result.fps))
+                    video.write(draw_status(draw_targets(frame, tracks), [f"{result.fps:.0f} fps"]))
                 advance()
         except KeyboardInterrupt:
             if not result.tracks:
@@ -87,10 +89,11 @@ def follow(
     return result
 
 
-def annotate(frame: Image, track: Track, fps: float) -> Image:
-    """A copy of the frame with box, score, state and speed."""
-    label = f"{track.state} {track.score:.2f}"
-    return draw_status(draw(frame, track.box, label, STATE_COLOURS[track.state]), [f"{fps:.0f} fps"])
+def boxes_paths(path: Path, count: int) -> list[Path]:
+    """The boxes file of each target: the path itself for one, ``boxes.1.txt``, ``boxes.2.txt``... for several."""
+    if count == 1:
+        return [path]
+    return [path.with_name(f"{path.stem}.{number}{path.suffix}") for number in range(1, count + 1)]
 
 
 def _next(frames: Iterator[Image], result: Followed) -> Image | None:

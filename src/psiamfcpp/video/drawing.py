@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
+from typing import Protocol
 
 import cv2
 
@@ -17,8 +19,63 @@ STATE_COLOURS: dict[str, Colour] = {
 }
 """BGR"""
 
+TARGET_COLOURS: tuple[Colour, ...] = (
+    (80, 200, 40),
+    (255, 160, 40),
+    (60, 220, 250),
+    (230, 90, 230),
+    (40, 140, 255),
+    (220, 220, 90),
+    (150, 110, 255),
+    (190, 190, 190),
+)
+"""BGR; of several targets, number 1 has the first"""
+
 _FONT = cv2.FONT_HERSHEY_SIMPLEX
 _BLACK, _WHITE = (0, 0, 0), (255, 255, 255)
+
+
+class Shown(Protocol):
+    """What is drawn of a target; `psiamfcpp.tracking.Track` is one."""
+
+    @property
+    def box(self) -> Box:
+        """``(x, y, w, h)``, pixels."""
+        ...
+
+    @property
+    def score(self) -> float:
+        """0..1."""
+        ...
+
+    @property
+    def state(self) -> str:
+        """tracking, unsure or lost."""
+        ...
+
+
+def target_colour(number: int) -> Colour:
+    """The colour of a target by its number, from 1; BGR."""
+    return TARGET_COLOURS[(number - 1) % len(TARGET_COLOURS)]
+
+
+def draw_targets(frame: Image, tracks: Mapping[int, Shown]) -> Image:
+    """A copy of the frame with every target's box, state and score.
+
+    One target alone has the colour of its state; several have a number and a colour each.
+
+    Args:
+        frame: ``(H, W, 3)`` uint8 BGR; left as it is.
+        tracks: by the target's number.
+    """
+    image = frame.copy()
+    for number, track in tracks.items():
+        label = f"{track.state} {track.score:.2f}"
+        if len(tracks) == 1:
+            image = draw(image, track.box, label, STATE_COLOURS[track.state])
+        else:
+            image = draw(image, track.box, f"{number} {label}", target_colour(number))
+    return image
 
 
 def draw(frame: Image, box: Box, label: str, colour: Colour = STATE_COLOURS["tracking"]) -> Image:

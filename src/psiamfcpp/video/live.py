@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -147,7 +148,8 @@ class LiveReader:
         lost, wait, count = time.monotonic(), _FIRST_WAIT_S, self._read
         end = lost + self._reconnect_s
         limit = f"{self._reconnect_s:g} s"
-        self._tell(f"{self._name} stopped after {count} frames: trying for {limit} to bring it back")
+        patience = f"for {limit}" if math.isfinite(self._reconnect_s) else "without end"
+        self._tell(f"{self._name} stopped after {count} frames: trying {patience} to bring it back")
         while (left := end - time.monotonic()) > 0:
             if self._stop.wait(min(wait, left)):
                 return None

@@ -75,7 +75,7 @@ def open_source(
         fps: frames a second, instead of what the container says (or of 30 where it says nothing sane).
         on_event: receives one line when a live source breaks off and when it is back; called while the next
             frame is asked for, in the thread that asks.
-        reconnect_s: how many seconds a live source may stay silent before it is given up.
+        reconnect_s: how many seconds a live source may stay silent before it is given up; `math.inf` for never.
         timeout_s: how many seconds opening an address, or waiting for its next frame, may take.
 
     Returns:
