@@ -56,7 +56,7 @@ T, U, L = "tracking", "unsure", "lost"
         # one frame that is not doubted, though unsure, starts the count anew
         ([0.1] * 7 + [0.2] + [0.1] * 7, [U] * 15),
         ([0.3] * 30, [U] * 30),  # for ever unsure is not lost
-        ([0.1] * 8 + [0.19, 0.2, 0.5], [U] * 7 + [L, L, U, T]),  # where it was lost, no doubt is enough
+        ([0.1] * 8 + [0.2, 0.49, 0.5], [U] * 7 + [L, L, L, T]),  # where it is expected, more likely than not is enough
         # after that the count starts anew too
         ([0.1] * 8 + [0.8] + [0.1] * 8, [U] * 7 + [L, T] + [U] * 7 + [L]),
         ([0.1] * 40 + [0.9, 0.4, 0.9], [U] * 7 + [L] * 33 + [T, U, T]),

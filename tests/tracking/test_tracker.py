@@ -124,25 +124,47 @@ def test_the_size_waits_while_unsure(blob_engine: Any, blob_frame: Draw) -> None
     assert tracker.update(blob_frame(truth)).box[2] > 44
 
 
-def test_a_doubted_find_moves_nothing(blob_engine: Any, blob_frame: Draw) -> None:
+@pytest.mark.parametrize(("shift", "followed"), [((15, 10), True), ((60, 20), False)])
+def test_a_doubted_find_moves_the_target_only_where_it_is_expected(
+    blob_engine: Any, blob_frame: Draw, shift: tuple[int, int], followed: bool
+) -> None:
     tracker = begun(blob_frame)
     blob_engine.peak = 0.1
-    track = tracker.update(blob_frame((130, 90, 40, 30)))
-    assert (track.box, track.state) == (START, "unsure")
+    truth = (START[0] + shift[0], START[1] + shift[1], 40, 30)
+    track = tracker.update(blob_frame(truth))
+    assert track.state == "unsure"
+    assert centre_error(track.box, truth if followed else START) < 1
 
 
-def test_a_target_that_vanishes_is_lost_and_its_box_goes_on_for_a_while(blob_engine: Any, blob_frame: Draw) -> None:
+def test_a_target_that_vanishes_in_motion_is_lost_and_awaited_where_it_was_going(
+    blob_engine: Any, blob_frame: Draw
+) -> None:
     tracker = begun(blob_frame)
-    last = tracker.update(blob_frame((105, 82, 40, 30)))
-    tracks = [tracker.update(blob_frame(None)) for _ in range(LOST_AFTER + 30)]
-    assert [t.state for t in tracks] == ["unsure"] * (LOST_AFTER - 1) + ["lost"] * 31
-    # One step of 5 and 2 pixels makes a running velocity of 1 and 0.4, which holds for 30 frames.
-    moved = [(t.box[0] - last.box[0], t.box[1] - last.box[1]) for t in tracks]
-    assert moved[0] == pytest.approx((1, 0.4), abs=0.05)
-    assert moved[29] == pytest.approx((30, 12), abs=1.5)
-    assert {t.box for t in tracks[29:]} == {tracks[29].box}
-    assert {t.box[2:] for t in tracks} == {last.box[2:]}
-    assert all(t.score < 0.2 for t in tracks)
+    for t in range(1, 31):
+        tracker.update(blob_frame((100 + 3 * t, 80 + t, 40, 30)))
+    # it passes under something, where the network sees a weak likeness far from where the target goes
+    blob_engine.peak = 0.05
+    tracks = [tracker.update(blob_frame((100, 180, 40, 30))) for _ in range(LOST_AFTER + 2)]
+    assert [t.state for t in tracks] == ["unsure"] * (LOST_AFTER - 1) + ["lost"] * 3
+    blob_engine.peak = 0.95
+    for t in range(41, 47):
+        truth = (100 + 3 * t, 80 + t, 40, 30)
+        track = tracker.update(blob_frame(truth))
+    assert track.state == "tracking"
+    assert centre_error(track.box, truth) < 1
+
+
+def test_while_lost_the_box_is_the_best_guess(blob_engine: Any, blob_frame: Draw) -> None:
+    # A network that doubts all the while and is right: the states must not cost what the plain procedure keeps.
+    tracker = begun(blob_frame)
+    blob_engine.peak = 0.1
+    errors = []
+    for t in range(1, 60):
+        truth = (100 + t, 80 + t / 2, 40, 30)
+        track = tracker.update(blob_frame(truth))
+        errors.append(centre_error(track.box, truth))
+    assert track.state == "lost"
+    assert max(errors) < 3
 
 
 @pytest.mark.parametrize("place", [(100, 80), (170, 80), (20, 150), (110, 5), (200, 140), (0, 0)])
@@ -152,8 +174,8 @@ def test_a_lost_target_is_found_again_within_reach(blob_engine: Any, blob_frame:
         tracker.update(blob_frame(None))
     truth = (*place, 40, 30)
     states = []
-    # 80 squares, and the place of the loss between any two of them
-    while not states or (states[-1] == "lost" and len(states) < 160):
+    # 80 squares, the place of the loss between any two of them, and the best guess between any two looks
+    while not states or (states[-1] == "lost" and len(states) < 320):
         track = tracker.update(blob_frame(truth))
         states.append(track.state)
     assert track.state == "tracking"
@@ -169,8 +191,7 @@ def test_a_weak_find_elsewhere_does_not_take_a_lost_target_up(blob_engine: Any, 
     for _ in range(LOST_AFTER):
         tracker.update(blob_frame(None))
     blob_engine.peak = 0.7
-    tracks = [tracker.update(blob_frame((220, 180, 40, 30))) for _ in range(60)]
-    assert {(t.state, t.box) for t in tracks} == {("lost", START)}
+    assert {tracker.update(blob_frame((220, 180, 40, 30))).state for _ in range(60)} == {"lost"}
 
 
 def test_a_lost_target_is_not_looked_for_outside_the_frame(blob_engine: Any, blob_frame: Draw) -> None:

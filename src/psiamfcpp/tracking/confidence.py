@@ -41,12 +41,12 @@ class StateMachine:
 
         Args:
             value: the confidence, 0..1.
-            elsewhere: of a lost target, that another place than its last one was looked at: what is found there is
-                more likely something else, and must be surer.
+            elsewhere: of a lost target, that what was found lies neither at its last place nor at the best guess: it
+                is more likely something else, and must be surer.
         """
         limits = self._calibration
         self._doubtful = self._doubtful + 1 if value < limits.lost_below else 0
-        if self.state == "lost" and value < (limits.regain_above if elsewhere else limits.lost_below):
+        if self.state == "lost" and value < (limits.regain_above if elsewhere else limits.unsure_below):
             return self.state
         if self._doubtful >= LOST_AFTER:
             self.state = "lost"

@@ -41,7 +41,7 @@ class Track:
     """The target in one frame."""
 
     box: Box
-    """``(x, y, w, h)``, pixels, 0-based; while lost the last known one, moved on for a while"""
+    """``(x, y, w, h)``, pixels, 0-based; while lost the network's best guess"""
     score: float
     """calibrated probability, 0..1, that the target is in the box; of the plain procedure, the network's own score"""
     state: State
@@ -99,9 +99,9 @@ class Tracker:
         self._smallest = min(_SMALLEST_SIDE, w, h)
         self._fill = mean_colour(frame)
         self._states = StateMachine(self.spec.calibration)
-        self._lost_for = 0
+        self._seen = self._target
         self._velocity = (0.0, 0.0)
-        self._coasted = 0
+        self._unseen_for = self._lost_for = 0
         size = self.spec.template_size
         self._kernels = self.engine.template(target_crop(frame, (cx, cy, w, h), size, size, self._fill))
         return Track((x, y, w, h), 1.0, "tracking")
@@ -145,10 +145,11 @@ class Tracker:
         """
         found, apart = self._read(look.around, scores, boxes)
         if self._plain:
-            self._move(found, self.spec.constants.test_lr * found.penalty * found.score, frame)
+            rate = self.spec.constants.test_lr * found.penalty * found.score
+            self._target = self._moved(self._target, found, rate, frame)
             return Track(self._box(), found.score, "tracking")
         value = confidence(found.score, apart, self.spec.calibration)
-        return self._judge(frame, found, value, elsewhere=look.around != self._target)
+        return self._judge(frame, look.around, found, value)
 
     def look(self, frame: Image, around: Target) -> tuple[Estimate, float]:
         """What one search region says; the tracker itself stays as it is.
@@ -180,29 +181,31 @@ class Tracker:
         found = estimate(scores, boxes, around, spec.search_size, spec.template_size, spec.constants, self._window)
         return found, contrast(scores, boxes, found.cell)
 
-    def _judge(self, frame: Image, found: Estimate, value: float, elsewhere: bool) -> Track:
+    def _judge(self, frame: Image, around: Target, found: Estimate, value: float) -> Track:
         """Move as far as the confidence allows, and say what state that is."""
-        state = self._states.step(value, elsewhere)
+        was_lost = self._states.state == "lost"
+        guess = self._target
+        expected = around in (guess, self._seen) and _lies_in(found.target, around if was_lost else self._seen)
+        state = self._states.step(value, elsewhere=not expected)
         self._lost_for = self._lost_for + 1 if state == "lost" else 0
         if value < self.spec.calibration.lost_below or state == "lost":
             self._coast(frame)
+            if around == guess and (was_lost or expected):
+                self._target = self._moved(guess, found, 0.0, frame)
+            elif not was_lost:
+                self._target = self._seen
         else:
             rate = self.spec.constants.test_lr * found.penalty * found.score if state == "tracking" else 0.0
-            before = self._target
-            self._move(found, rate, frame)
-            if self._coasted == 0:
-                vx, vy = self._velocity
-                dx, dy = self._target.cx - before.cx, self._target.cy - before.cy
-                self._velocity = (vx + _VELOCITY_RATE * (dx - vx), vy + _VELOCITY_RATE * (dy - vy))
-            self._coasted = 0
+            self._target = self._moved(around, found, rate, frame)
+            self._see()
         return Track(self._box(), value, state)
 
     def _where_to_look(self, frame_shape: tuple[int, ...]) -> Target:
-        """The target's place; while lost, in turn the squares of a region about it that grows with time."""
-        t = self._target
-        if self._lost_for == 0:
-            return t
-        column, row = spiral(self._lost_for)
+        """The target's place; while lost also, by turns, where it was seen last, and a region about it that grows."""
+        if self._lost_for % 2 == 0:
+            return self._target
+        t = self._seen
+        column, row = spiral(self._lost_for // 2 + 1)
         step = self._reach * context_side(t.w, t.h) / self.spec.template_size
         height, width = frame_shape[:2]
         cx, cy = t.cx + column * step, t.cy + row * step
@@ -211,26 +214,38 @@ class Tracker:
             return t
         return Target(cx, cy, t.w, t.h)
 
-    def _move(self, found: Estimate, rate: float, frame: Image) -> None:
-        self._target = smooth(self._target, found, rate, frame.shape, self._smallest)
+    def _moved(self, around: Target, found: Estimate, rate: float, frame: Image) -> Target:
+        return smooth(around, found, rate, frame.shape, self._smallest)
+
+    def _see(self) -> None:
+        """Note where the target was seen, and how fast it moves."""
+        if self._unseen_for == 0:
+            vx, vy = self._velocity
+            dx, dy = self._target.cx - self._seen.cx, self._target.cy - self._seen.cy
+            self._velocity = (vx + _VELOCITY_RATE * (dx - vx), vy + _VELOCITY_RATE * (dy - vy))
+        self._seen, self._unseen_for = self._target, 0
 
     def _coast(self, frame: Image) -> None:
         """Go on as the target moved when it was last seen: most that vanish do so behind something that they pass."""
-        self._coasted += 1
-        if self._coasted > _COAST_FRAMES:
+        self._unseen_for += 1
+        if self._unseen_for > _COAST_FRAMES:
             return
-        t, (vx, vy) = self._target, self._velocity
+        t, (vx, vy) = self._seen, self._velocity
         height, width = frame.shape[:2]
-        self._target = Target(min(max(t.cx + vx, 0.0), width - 1.0), min(max(t.cy + vy, 0.0), height - 1.0), t.w, t.h)
+        self._seen = Target(min(max(t.cx + vx, 0.0), width - 1.0), min(max(t.cy + vy, 0.0), height - 1.0), t.w, t.h)
 
     def _box(self) -> Box:
         return from_centre(self._target.cx, self._target.cy, self._target.w, self._target.h)
 
 
-def spiral(n: int) -> tuple[int, int]:
-    """Column and row of the square to look at in the ``n``-th frame since the loss (from 1).
+def _lies_in(found: Target, box: Target) -> bool:
+    return abs(found.cx - box.cx) < box.w / 2 and abs(found.cy - box.cy) < box.h / 2
 
-    Every other frame looks at the place of the loss itself, where most targets reappear; the frames between walk the
+
+def spiral(n: int) -> tuple[int, int]:
+    """Column and row of the square to look at in the ``n``-th look about the place of the loss (from 1).
+
+    Every other look is at the place of the loss itself, where most targets reappear; those between walk the
     rings of squares about it, of which each is entered only when the one inside it was seen whole. After four rings
     the walk begins anew.
     """
