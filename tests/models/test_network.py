@@ -150,6 +150,26 @@ def test_depthwise_correlation_against_a_loop(kernel_batch: int):
     torch.testing.assert_close(depthwise_correlation(features, kernels), expected)
 
 
+@pytest.mark.parametrize("kernel_batch", [1, 2])
+def test_gradients_of_the_correlation_are_those_of_finite_differences(kernel_batch: int):
+    generator = torch.Generator().manual_seed(0)
+    features = torch.randn(2, 3, 7, 6, generator=generator, dtype=torch.double, requires_grad=True)
+    kernels = torch.randn(kernel_batch, 3, 4, 2, generator=generator, dtype=torch.double, requires_grad=True)
+    assert torch.autograd.gradcheck(depthwise_correlation, (features, kernels))
+
+
+@torch.no_grad()
+def test_a_frozen_network_says_the_same(make_network, crops):
+    network = make_network()
+    for bn in (m for m in network.modules() if isinstance(m, nn.BatchNorm2d)):
+        bn.running_mean.normal_()
+        bn.running_var.uniform_(0.5, 2)
+    z, x = crops(2, 127, 1), crops(2, 239, 2)
+    free, frozen = network.maps(x, network.template(z)), network.requires_grad_(False)
+    for a, b in zip(free, frozen.maps(x, frozen.template(z)), strict=True):
+        torch.testing.assert_close(a, b, rtol=1e-4, atol=1e-4)
+
+
 @pytest.mark.parametrize(("search_size", "cells", "last"), [(303, 17, 215), (239, 9, 151)])
 def test_cells_stand_every_8_pixels_about_the_middle(search_size: int, cells: int, last: int):
     grid = cell_grid(search_size, cells)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -212,3 +213,20 @@ def test_without_torch_the_install_line_is_given(tiny_model: Path, monkeypatch: 
     monkeypatch.setitem(sys.modules, "torch", None)
     with pytest.raises(UserError, match=r"torch.*pip install 'psiamfcpp\[train\]'"):
         open_engine(str(tiny_model), "torch")
+
+
+def test_a_signal_is_survived_after_several_openvino_engines(tiny_graphs: Path) -> None:
+    pytest.importorskip("openvino")
+    program = f"""
+import gc, os, signal
+from psiamfcpp.runtime import open_engine
+first, second = (open_engine({str(tiny_graphs)!r}, "openvino", 1) for _ in range(2))
+del first
+gc.collect()
+del second
+gc.collect()
+signal.signal(signal.SIGTERM, lambda *_: print("heard"))
+os.kill(os.getpid(), signal.SIGTERM)
+"""
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    assert (done.returncode, done.stdout) == (0, "heard\n"), done.stderr

@@ -68,6 +68,8 @@ def _write(graph: bytes, path: Path, form: Format) -> None:
         return
     try:
         import openvino
+
+        from psiamfcpp.runtime.openvino_engine import core
     except ModuleNotFoundError as error:
         raise UserError(f"OpenVINO's form needs {error.name}: pip install 'psiamfcpp[openvino]'") from None
-    openvino.save_model(openvino.Core().read_model(graph), path.with_suffix(".xml"), compress_to_fp16=False)
+    openvino.save_model(core().read_model(graph), path.with_suffix(".xml"), compress_to_fp16=False)

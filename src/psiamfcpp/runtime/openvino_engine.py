@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 from pathlib import Path
 from typing import Any
 
@@ -53,9 +54,19 @@ class OpenVinoEngine:
         self.search(x, self.template(z))
 
 
+@functools.cache
+def core() -> openvino.Core:
+    """The process's one OpenVINO runtime.
+
+    Each runtime sets the thread's alternate signal stack and puts back the one before when it goes. Where two go in
+    the order in which they came, the second puts back a stack that is no more, and the next signal kills the process.
+    """
+    return openvino.Core()
+
+
 def _read(path: Path) -> tuple[Any, ModelSpec]:
     try:
-        model = openvino.Core().read_model(path)
+        model = core().read_model(path)
     except RuntimeError as error:
         # the reason stands at the end of a chain of source lines
         raise damaged(path, RuntimeError(str(error).strip().splitlines()[-1])) from None
@@ -73,6 +84,6 @@ def _compile(path: Path, model: Any, threads: int | None) -> Any:
         "INFERENCE_NUM_THREADS": threads or usable_cores(),
     }
     try:
-        return openvino.Core().compile_model(model, "CPU", config).create_infer_request()
+        return core().compile_model(model, "CPU", config).create_infer_request()
     except RuntimeError as error:
         raise damaged(path, RuntimeError(str(error).strip().splitlines()[-1])) from None
