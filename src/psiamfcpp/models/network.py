@@ -36,8 +36,8 @@ class ConvBlock(nn.Module):
         return F.relu(x, inplace=True) if self.relu else x
 
     def _folded(self, bn: nn.BatchNorm2d) -> tuple[Tensor, Tensor | None]:
-        conv = self.conv
-        mean, var = bn.running_mean, bn.running_var
+        conv, mean, var = self.conv, bn.running_mean, bn.running_var
+        assert mean is not None and var is not None, "the blocks' BatchNorm keeps statistics"
         return fuse_conv_bn_weights(conv.weight, conv.bias, mean, var, bn.eps, bn.weight, bn.bias)
 
 

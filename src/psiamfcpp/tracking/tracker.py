@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import dataclasses
 from dataclasses import dataclass
 from typing import Any
 
@@ -20,8 +21,11 @@ from psiamfcpp.zoo import DEFAULT_MODEL
 
 # Sides below this are not followed down, unless the target began smaller (the original's lower bound).
 _SMALLEST_SIDE = 10.0
-# The velocity is a running mean over some five frames, and holds for a second of video.
-_VELOCITY_RATE, _COAST_FRAMES = 0.2, 30
+# Velocity and size to look for again are running means over some ten frames: in the last ones before it vanishes a
+# target is covered in part, seems small, and holds back. The velocity holds for a second of video.
+_MEMORY_RATE, _COAST_FRAMES = 0.1, 30
+# What a lost target's search region is larger by than a followed one's.
+_LOST_REACH = 1.3
 
 
 @dataclass(frozen=True, slots=True)
@@ -184,27 +188,28 @@ class Tracker:
     def _judge(self, frame: Image, around: Target, found: Estimate, value: float) -> Track:
         """Move as far as the confidence allows, and say what state that is."""
         was_lost = self._states.state == "lost"
-        guess = self._target
-        expected = around in (guess, self._seen) and _lies_in(found.target, around if was_lost else self._seen)
+        guess, gone_on = self._target, self._gone_on(self._target, frame)
+        expected = _lies_in(found.target, self._seen if was_lost else gone_on)
         state = self._states.step(value, elsewhere=not expected)
-        self._lost_for = self._lost_for + 1 if state == "lost" else 0
-        if value < self.spec.calibration.lost_below or state == "lost":
-            self._coast(frame)
-            if around == guess and (was_lost or expected):
-                self._target = self._moved(guess, found, 0.0, frame)
-            elif not was_lost:
-                self._target = self._seen
-        else:
-            rate = self.spec.constants.test_lr * found.penalty * found.score if state == "tracking" else 0.0
+        if state == "tracking":
+            rate = self.spec.constants.test_lr * found.penalty * found.score
             self._target = self._moved(around, found, rate, frame)
             self._see()
+            return Track(self._box(), value, state)
+        self._unseen_for += 1
+        self._seen = self._gone_on(self._seen, frame)
+        self._lost_for = self._lost_for + 1 if state == "lost" else 0
+        if state == "unsure" and value < self.spec.calibration.lost_below and not expected:
+            self._target = gone_on
+        elif around == guess:
+            self._target = self._moved(guess, found, 0.0, frame)
         return Track(self._box(), value, state)
 
     def _where_to_look(self, frame_shape: tuple[int, ...]) -> Target:
         """The target's place; while lost also, by turns, where it was seen last, and a region about it that grows."""
         if self._lost_for % 2 == 0:
             return self._target
-        t = self._seen
+        t = dataclasses.replace(self._seen, w=self._seen.w * _LOST_REACH, h=self._seen.h * _LOST_REACH)
         column, row = spiral(self._lost_for // 2 + 1)
         step = self._reach * context_side(t.w, t.h) / self.spec.template_size
         height, width = frame_shape[:2]
@@ -219,20 +224,20 @@ class Tracker:
 
     def _see(self) -> None:
         """Note where the target was seen, and how fast it moves."""
+        t, before = self._target, self._seen
         if self._unseen_for == 0:
             vx, vy = self._velocity
-            dx, dy = self._target.cx - self._seen.cx, self._target.cy - self._seen.cy
-            self._velocity = (vx + _VELOCITY_RATE * (dx - vx), vy + _VELOCITY_RATE * (dy - vy))
-        self._seen, self._unseen_for = self._target, 0
+            dx, dy = t.cx - before.cx, t.cy - before.cy
+            self._velocity = (vx + _MEMORY_RATE * (dx - vx), vy + _MEMORY_RATE * (dy - vy))
+        w, h = (b + _MEMORY_RATE * (a - b) for a, b in ((t.w, before.w), (t.h, before.h)))
+        self._seen, self._unseen_for, self._lost_for = Target(t.cx, t.cy, w, h), 0, 0
 
-    def _coast(self, frame: Image) -> None:
-        """Go on as the target moved when it was last seen: most that vanish do so behind something that they pass."""
-        self._unseen_for += 1
+    def _gone_on(self, t: Target, frame: Image) -> Target:
+        """A target a frame later, moving as when it was last seen: most that vanish do so behind what they pass."""
         if self._unseen_for > _COAST_FRAMES:
-            return
-        t, (vx, vy) = self._seen, self._velocity
-        height, width = frame.shape[:2]
-        self._seen = Target(min(max(t.cx + vx, 0.0), width - 1.0), min(max(t.cy + vy, 0.0), height - 1.0), t.w, t.h)
+            return t
+        (vx, vy), (height, width) = self._velocity, frame.shape[:2]
+        return Target(min(max(t.cx + vx, 0.0), width - 1.0), min(max(t.cy + vy, 0.0), height - 1.0), t.w, t.h)
 
     def _box(self) -> Box:
         return from_centre(self._target.cx, self._target.cy, self._target.w, self._target.h)
