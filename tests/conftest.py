@@ -7,8 +7,10 @@ import os
 # Before torch is imported: the networks here are so small that threads cost more than they give.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
-from collections.abc import Callable
+import shutil
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -152,3 +154,19 @@ def blob_sequence(tmp_path: Path, blob_frame: Callable[..., Image]) -> Callable[
         return root
 
     return write
+
+
+@pytest.fixture(scope="session")
+def browser() -> Iterator[Any]:
+    """A headless Chromium, driven by Playwright; without either, tests that want it are skipped."""
+    playwright = pytest.importorskip("playwright.sync_api", reason="Playwright is not installed")
+    names = ("chromium", "chromium-browser", "google-chrome")
+    path = next(filter(None, map(shutil.which, names)), None)
+    if path is None:
+        pytest.skip("Chromium is not installed")
+    options = "--no-sandbox --disable-gpu --disable-quic --no-first-run --disable-background-networking "
+    options += "--disable-component-update --disable-sync"
+    with playwright.sync_playwright() as api:
+        running = api.chromium.launch(executable_path=path, args=options.split())
+        yield running
+        running.close()
