@@ -40,7 +40,8 @@ def visit(browser: Any) -> Iterator[Callable[..., Any]]:
 
 def place(page: Any, x: float, y: float) -> tuple[float, float]:
     """Where a pixel of the frame is on the screen."""
-    page.wait_for_function("document.getElementById('picture').width == 640")
+    # Not by wait_for_function, which evaluates a string again and again: the page's own rules forbid that.
+    until(lambda: page.evaluate("document.getElementById('picture').width") == WIDTH)
     area = page.locator("#picture").bounding_box()
     return area["x"] + x * area["width"] / WIDTH, area["y"] + y * area["height"] / HEIGHT
 
