@@ -41,8 +41,8 @@ class StateMachine:
 
         Args:
             value: the confidence, 0..1.
-            elsewhere: of a lost target, that what was found lies neither at its last place nor at the best guess: it
-                is more likely something else, and must be surer.
+            elsewhere: of a lost target, that what was found does not lie where it was last seen: it is more likely
+                something else, and must be surer.
         """
         limits = self._calibration
         self._doubtful = self._doubtful + 1 if value < limits.lost_below else 0
