@@ -41,6 +41,15 @@ def test_int8_is_judged_by_layer_on_given_data(
     assert ended.err.count("in 8 bits alone") == 14
 
 
+def test_what_the_graphs_cost_on_sequences_is_said(run: Run, tiny_model: Path, tmp_path: Path, blob_sequence) -> None:
+    root = blob_sequence("alpha", [(100, 80, 40, 30), (110, 80, 40, 30), (120, 80, 40, 30)])
+    args = ("export", tiny_model, "-o", tmp_path / "graphs", "--pairs", "4", "--root", root)
+    told = json.loads(run(*args, "--json").out)["followed"]
+    assert told["graphs"] == pytest.approx(told["torch"])  # float graphs give the same boxes
+    assert 1 / 3 < told["torch"]["precision"] <= 1 and 0 < told["torch"]["auc"] <= 1
+    assert f"graphs precision {told['graphs']['precision']:.3f}, AUC" in run(*args).out
+
+
 def test_a_failed_check_writes_nothing(run: Run, tiny_model: Path, tmp_path: Path, monkeypatch) -> None:
     monkeypatch.setattr("psiamfcpp.export.files.compare", lambda *_: Difference(0.5, 0.0, 1.0))
     said = run("export", tiny_model, "-o", tmp_path / "graphs", "--pairs", "4").refused()

@@ -10,7 +10,7 @@ from tests.models.conftest import UNEVEN, randomize
 from psiamfcpp.export.crops import Pair, rendered, sample
 from psiamfcpp.export.graph import Ranges, search_graph, template_graph
 from psiamfcpp.export.layers import layers
-from psiamfcpp.export.quantize import _least_loss, losses, measure, without
+from psiamfcpp.export.quantize import losses, measure, without
 from psiamfcpp.models.network import SiamFCpp
 from psiamfcpp.runtime.onnx_engine import open_session
 from psiamfcpp.spec import ModelSpec
@@ -111,13 +111,11 @@ def test_each_layer_is_judged_alone(network: SiamFCpp, ranges: Ranges, pairs: li
     assert by_layer["backbone.conv1"].scores > 0
 
 
-def test_an_outlier_is_cut_off_and_an_even_spread_is_not() -> None:
-    even = np.full(2048, 10.0)
-    assert _least_loss(even, 0.0, 8.0) == (0.0, 8.0)
-    lonely = np.zeros(2048)
-    lonely[:512], lonely[-1] = 1e6, 1
-    low, high = _least_loss(lonely, 0.0, 8.0)
-    assert (low, pytest.approx(high, abs=0.4)) == (0.0, 2.0)
+def test_ranges_hold_the_highest_value_of_every_crop(network: SiamFCpp, pairs: list[Pair]) -> None:
+    first, second, both = (measure(network.spec, layers(network), some) for some in (pairs[:1], pairs[1:2], pairs[:2]))
+    for name, (low, high) in both.inputs.items():
+        assert low == min(first.inputs[name][0], second.inputs[name][0])
+        assert high == max(first.inputs[name][1], second.inputs[name][1])
 
 
 def test_pixels_are_taken_as_they_are(ranges: Ranges) -> None:

@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 import tyro
 
 from psiamfcpp.cli.output import notes, print_json, progress
-from psiamfcpp.datasets import read_entry
+from psiamfcpp.datasets import Sequence, read, read_entry
 from psiamfcpp.errors import UserError
 
 
@@ -19,7 +19,8 @@ def export(
     int8: bool = False,
     format: Literal["onnx", "openvino"] = "onnx",
     data: tuple[str, ...] = (),
-    pairs: int = 64,
+    root: Path | None = None,
+    pairs: int = 128,
     layer_loss: float = 0.02,
     json: bool = False,
 ) -> None:
@@ -31,6 +32,7 @@ def export(
         int8: compute the search graph in 8-bit integers.
         format: onnx, which onnxruntime and OpenVINO read, or OpenVINO's own.
         data: what to calibrate and check on, each LAYOUT:FOLDER as for training; by default rendered clips.
+        root: folder of sequences to follow with the network in torch and with the graphs, plainly, and compare.
         pairs: targets to calibrate on; a quarter as many others serve the check.
         layer_loss: with int8, layers stay in float whose 8 bits alone cost more than this of the boxes' overlap.
         json: print one JSON object.
@@ -44,12 +46,14 @@ def export(
 
     if pairs < 1:
         raise UserError(f"pairs is {pairs}: at least 1 is needed")
+    tracks = [] if root is None else read("folder", root)
     network = load(model)
     spec = network.spec
     used, checks = (pairs if int8 else 0), max(4, pairs // 4)
     sequences = [sequence for entry in data for sequence in read_entry(entry)]
     crops = sample(sequences, spec, used + checks) if data else rendered(spec, used + checks)
-    ranges, facts = Ranges(), {}
+    ranges = Ranges()
+    facts: dict[str, Any] = {}
     if int8:
         weights = layers(network)
         with progress() as bar:
@@ -63,11 +67,27 @@ def export(
             stays = ", stays in float" if name in kept_float else ""
             notes.print(f"{name:18} in 8 bits alone: {_said(difference)}{stays}")
     difference = write_graphs(network, output, format, ranges, crops[used:])
+    if tracks:
+        facts["followed"] = {
+            "torch": _followed(model, "torch", tracks),
+            "graphs": _followed(str(output), format, tracks),
+        }
     if json:
         print_json({"output": str(output), **dataclasses.asdict(difference), **facts})
         return
     print(f"on {checks} crops, against torch: {_said(difference)}")
+    for way, figures in facts.get("followed", {}).items():
+        print(f"{way:6} precision {figures['precision']:.3f}, AUC {figures['auc']:.3f} on {len(tracks)} sequences")
     print(f"graphs written to {output}: track with --model {output}")
+
+
+def _followed(model: str, engine: str, sequences: list[Sequence]) -> dict[str, float]:
+    """Precision and AUC of a model's plain procedure over the sequences."""
+    from psiamfcpp.evaluation.ope import mean_over
+    from psiamfcpp.evaluation.trackers import ModelOptions, choose
+
+    mean = mean_over(choose(model, ModelOptions(engine, plain=True)).open(), sequences)
+    return {name: mean.figures[name] for name in ("precision", "auc")}
 
 
 def _said(difference: Any) -> str:

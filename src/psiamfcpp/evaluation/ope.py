@@ -1,14 +1,16 @@
-"""One pass of a tracker over a sequence, with its time."""
+"""One pass of a tracker over a sequence, with its time, or over many for their mean scores."""
 
 from __future__ import annotations
 
 import time
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
 
 from psiamfcpp.datasets import Sequence
 from psiamfcpp.errors import UserError
+from psiamfcpp.evaluation.metrics import Scores, mean_scores, score_sequence
 from psiamfcpp.evaluation.trackers import Follower
 from psiamfcpp.geometry import FloatArray
 from psiamfcpp.images import read_image
@@ -58,3 +60,12 @@ def one_pass(tracker: Follower, sequence: Sequence) -> Pass:
             boxes[i] = tracker.update(frame)
         seconds[i], decoding[i] = time.perf_counter() - decoded, decoded - begin
     return Pass(boxes, seconds, decoding)
+
+
+def mean_over(tracker: Follower, sequences: Iterable[Sequence]) -> Scores:
+    """Mean scores of one pass over each sequence, in the `otb` convention.
+
+    Raises:
+        UserError: see `one_pass`.
+    """
+    return mean_scores(score_sequence(s.boxes, one_pass(tracker, s).boxes) for s in sequences)

@@ -18,8 +18,7 @@ import torch
 
 from psiamfcpp import datasets
 from psiamfcpp.errors import UserError
-from psiamfcpp.evaluation.metrics import mean_scores, score_sequence
-from psiamfcpp.evaluation.ope import one_pass
+from psiamfcpp.evaluation.ope import mean_over
 from psiamfcpp.evaluation.trackers import ModelOptions, TrackerChoice
 from psiamfcpp.models import SiamFCpp, load, save
 from psiamfcpp.models.cost import count_parameters, search_macs
@@ -138,9 +137,7 @@ def measure(setup: Setup, cell: Cell, folder: Path) -> dict[str, Any]:
     else:
         save(run / MODEL_FILE, network)
     tracker = TrackerChoice(str(run / MODEL_FILE), "model", ModelOptions("torch", 1, plain=True)).open()
-    mean = mean_scores(
-        score_sequence(s.boxes, one_pass(tracker, s).boxes, "otb") for s in datasets.read("folder", setup.root)
-    )
+    mean = mean_over(tracker, datasets.read("folder", setup.root))
     spec = network.spec
     result = {
         **dataclasses.asdict(cell),
