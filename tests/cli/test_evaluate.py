@@ -33,7 +33,16 @@ def test_evaluate_scores_a_folder(run: Run, blob_engine: Any, blob_sequence: Seq
     assert data.keys() == {"results"}
     assert [row["convention"] for row in data["results"]] == ["otb", "got10k"]
     for row in data["results"]:
-        assert row.keys() == {"tracker", "dataset", "convention", "invalid_rows", "sequences", *FIGURES, *SPEED}
+        assert row.keys() == {
+            "tracker",
+            "dataset",
+            "convention",
+            "invalid_rows",
+            "missing_sequences",
+            "sequences",
+            *FIGURES,
+            *SPEED,
+        }
         assert (row["tracker"], row["dataset"]) == ("blob", "folder")
         assert row["fps"] > 0
         assert row["fps_mean"] > 0

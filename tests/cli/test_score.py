@@ -43,7 +43,8 @@ def test_score_prints_one_json_object(run: Run, command: list[str | Path]) -> No
     rows = {(row["tracker"], row["convention"]): row for row in data["results"]}
     assert rows.keys() == {(t, c) for t in ("far", "near") for c in ("otb", "got10k")}
     for row in rows.values():
-        assert row.keys() == {"tracker", "dataset", "convention", *FIGURES, "invalid_rows", "sequences", "fps"}
+        others = {"invalid_rows", "missing_sequences", "sequences", "fps"}
+        assert row.keys() == {"tracker", "dataset", "convention", *FIGURES, *others}
         assert (row["dataset"], row["fps"], list(row["sequences"])) == ("dtb70", None, ["car1", "car2"])
         for figure in FIGURES:
             assert row[figure] == pytest.approx(sum(s[figure] for s in row["sequences"].values()) / 2)
@@ -83,6 +84,30 @@ def test_one_tracker_is_shown_sequence_by_sequence(run: Run, command: list[str |
     ]
 
 
+def test_several_trackers_are_shown_sequence_by_sequence_on_demand(run: Run, command: list[str | Path]) -> None:
+    ended = run(*command, "--per-sequence", "--convention", "otb")
+    assert [line.split()[:2] for line in ended.out.splitlines()[4:]] == [
+        ["far", "0.750"],
+        ["car1", "0.500"],
+        ["car2", "1.000"],
+        ["near", "1.000"],
+        ["car1", "1.000"],
+        ["car2", "1.000"],
+    ]
+
+
+@pytest.mark.parametrize("place", ["", "times/"])
+def test_speed_comes_from_files_of_times(run: Run, command: list[str | Path], place: str) -> None:
+    *_, results = command
+    near = Path(results) / "near"
+    (near / place).mkdir(exist_ok=True)
+    for name in ("car1", "car2"):
+        # that of the first frame, of init, does not count
+        (near / place / f"{name}_time.txt").write_text("9\n0.02\n0.02\n0.05\n")
+    rows = json.loads(run(*command, "--json").out)["results"]
+    assert {row["tracker"]: row["fps"] for row in rows} == {"near": pytest.approx(50), "far": None}
+
+
 def test_a_missing_sequence(run: Run, command: list[str | Path]) -> None:
     *_, results = command
     (Path(results) / "far" / "car2.txt").unlink()
@@ -97,7 +122,7 @@ def test_a_missing_sequence(run: Run, command: list[str | Path]) -> None:
         "plots: a folder without results of dtb70, left out",
     ]
     far = json.loads(ended.out)["results"][0]
-    assert (list(far["sequences"]), far["precision"]) == (["car1"], 0.5)
+    assert (list(far["sequences"]), far["missing_sequences"], far["precision"]) == (["car1"], 1, 0.5)
 
 
 def test_what_cannot_be_scored_is_refused(run: Run, command: list[str | Path], tmp_path: Path) -> None:

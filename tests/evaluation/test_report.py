@@ -146,6 +146,14 @@ def test_a_report_is_whole_and_needs_nothing_else(report: list[Path]) -> None:
     assert '<meta name="viewport" content="width=device-width' in shown.read_text()
 
 
+def test_speeds_on_a_gpu_are_shown_where_some_were_published(comparison: Comparison) -> None:
+    curves = {f"{w}-dtb70-{kind}": b"" for w in ("precision", "success") for kind in CONVENTIONS}
+    text = Page(page([comparison], [], curves, {}, [])).text
+    # the paper's rows on DTB70 follow got10k, so only its table has the column; the averages have one of their own
+    assert text.count("FPS (GPU)") == 2
+    assert "238.2" in text
+
+
 def test_the_same_figures_give_the_same_plot(comparison: Comparison) -> None:
     first, second = (png_and_svg(curves(comparison, "success", "otb", STYLES)) for _ in range(2))
     assert first == second

@@ -36,6 +36,9 @@ class Slow:
         return self.box
 class Other(Slow):
     pass
+class Wordy(Slow):
+    def update(self, image):
+        raise ValueError("no\\nway")
 class Deadly(Slow):
     def update(self, image):
         os.kill(os.getpid(), 9)
@@ -207,6 +210,16 @@ def test_a_tracker_that_cannot_be_opened_leaves_nothing_behind(root: Path, modul
     with pytest.raises(UserError, match="cannot be opened"):
         run(choices, "folder", root, datasets.read("folder", root), tmp_path / "r")
     assert not (tmp_path / "r").exists()
+
+
+def test_what_went_wrong_is_one_line_a_sequence(root: Path, module: str, tmp_path: Path) -> None:
+    sequences = datasets.read("folder", root)
+    problems = run([choose(f"{module}:Wordy")], "folder", root, sequences, tmp_path / "r")
+    assert len(problems) == len(NAMES)
+    for name, problem in zip(NAMES, problems, strict=True):
+        assert problem.startswith(f"Wordy on sequence {name}: ")
+        assert "ValueError: no way" in problem
+    assert results(tmp_path / "r" / "folder" / "Wordy") == {}
 
 
 @pytest.mark.parametrize("text", ["", "{}", "[]", json.dumps({"format": "psiamfcpp-run/9"})])

@@ -9,7 +9,7 @@ from typing import Any
 
 from psiamfcpp import datasets
 from psiamfcpp.cli.output import notes, print_json, progress
-from psiamfcpp.cli.score import BOTH, print_tables, score_rows
+from psiamfcpp.cli.score import BOTH, print_head, print_tables, score_rows
 from psiamfcpp.errors import UserError
 from psiamfcpp.evaluation.results import Files, read_speed
 from psiamfcpp.evaluation.running import CONDITIONS, read_run, result_files, run
@@ -63,8 +63,8 @@ def evaluate(
     if json:
         print_json({"results": rows})
         return
-    print(f"{dataset}: {len(labels)} sequences, {sum(map(len, labels.values()))} labels")
-    print_tables(rows)
+    print_head(dataset, labels)
+    print_tables(rows, per_sequence=len(tracker) == 1)
     print()
     for name, speed in speeds.items():
         print(f"{name}: {_describe(speed)}")

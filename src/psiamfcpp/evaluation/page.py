@@ -137,18 +137,21 @@ def _benchmark(comparison: Comparison, plots: dict[str, bytes], frames: str) -> 
 
 def _figures(comparison: Comparison, kind: Convention) -> str:
     listed = rows(comparison, kind)
-    keys = ("precision", "normalized_precision", "auc", "success50", "fps")
+    keys = ["precision", "normalized_precision", "auc", "success50", "fps"]
+    head = [*_HEAD]
+    if any(row["fps_gpu"] is not None for row in listed):
+        keys, head = [*keys, "fps_gpu"], [*head, "FPS (GPU)"]
     ranks = {key: _ranks([row[key] if row["kind"] == "measured" else None for row in listed]) for key in keys}
     body = "".join(
         f'<tr class="{row["kind"]}"><th>{escape(row["tracker"])} {_tag(row["kind"])}</th>'
-        + "".join(_number(row[key], ranks[key][i], 1 if key == "fps" else 3) for key in keys)
+        + "".join(_number(row[key], ranks[key][i], 1 if key.startswith("fps") else 3) for key in keys)
         + f'<td class="text">{escape(row["source"])}</td></tr>'
         for i, row in enumerate(listed)
     )
-    head = "".join(f"<th>{name}</th>" for name in _HEAD) + '<th class="text">Source</th>'
+    titles = "".join(f"<th>{name}</th>" for name in head) + '<th class="text">Source</th>'
     elsewhere = sum(row.convention not in (kind, None) for row in comparison.published)
     note = f" {elsewhere} published rows follow the other convention, and are shown with it." if elsewhere else ""
-    return f"<h3>Figures</h3>{_table(f'<tr>{head}</tr>', body, f'Convention {kind}.{note}')}"
+    return f"<h3>Figures</h3>{_table(f'<tr>{titles}</tr>', body, f'Convention {kind}.{note}')}"
 
 
 def _attributes(comparison: Comparison, kind: Convention) -> str:
@@ -233,8 +236,9 @@ def _per_convention(part: Callable[[Convention], str]) -> str:
 
 
 def _table(head: str, body: str, caption: str) -> str:
-    inside = f"<caption>{escape(caption)}</caption><thead>{head}</thead><tbody>{body}</tbody>"
-    return f'<div class="scroll"><table>{inside}</table></div>'
+    # Outside of what scrolls: on a phone a caption as wide as its table could not be read.
+    inside = f"<table><thead>{head}</thead><tbody>{body}</tbody></table>"
+    return f'<p class="soft">{escape(caption)}</p><div class="scroll">{inside}</div>'
 
 
 def _ranks(values: list[Any]) -> list[str]:

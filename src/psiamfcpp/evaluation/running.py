@@ -202,7 +202,8 @@ def _attempt(tracker: Follower, job: Job) -> str | None:
         write_whole(job.folder / f"{name}_time.txt", "".join(f"{t:.6f},{d:.6f}\n" for t, d in times))
         write_whole(job.folder / f"{name}.txt", "".join(",".join(f"{v:.4f}" for v in box) + "\n" for box in done.boxes))
     except UserError as error:
-        return f"{job.choice.name} on sequence {name}: {error}"
+        # what a foreign class raises may have many lines
+        return " ".join(f"{job.choice.name} on sequence {name}: {error}".split())
     return None
 
 
