@@ -74,6 +74,16 @@ def test_a_table_a_convention(run: Run, command: list[str | Path]) -> None:
     ]
 
 
+@pytest.mark.parametrize("again", [["--results"], []])
+def test_an_option_that_is_given_again_adds_its_values(run: Run, command: list[str | Path], again: list[str]) -> None:
+    *given, results = command
+    folders = [Path(results) / name for name in ("near", "far")]
+    # --results near --json --results far as --results near far --json
+    ended = run(*given, folders[0], *(["--json", *again, folders[1]] if again else [folders[1], "--json"]))
+    assert {row["tracker"] for row in json.loads(ended.out)["results"]} == {"near", "far"}
+    assert "near/nowhere does not exist" in run(*command, f"--results={folders[0]}/nowhere").refused()
+
+
 def test_one_tracker_is_shown_sequence_by_sequence(run: Run, command: list[str | Path]) -> None:
     *_, results = command
     ended = run(*command[:-1], Path(results) / "far", "--convention", "otb")
