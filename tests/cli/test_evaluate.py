@@ -87,6 +87,7 @@ def test_evaluate_refuses(run: Run, tiny_model: Path, tmp_path: Path, blob_seque
     assert "holds no sequence" in run(*base, tmp_path).refused()
     root = blob_sequence("car1", PATH[:3])
     assert "unknown engine" in run(*base, root, "--engine", "steam").refused()
+    assert "--tracker names none" in run("evaluate", "--root", root, "--tracker").refused()
     assert "--jobs is 0" in run(*base, root, "--jobs", 0).refused()
     (root / "car1" / "img" / "0002.png").write_bytes(b"")
     message = run(*base, root).refused()

@@ -139,6 +139,7 @@ def test_what_cannot_be_scored_is_refused(run: Run, command: list[str | Path], t
     *_, results = command
     near = Path(results) / "near"
     assert "second tracker called near: rename its folder" in run(*command[:-1], near, results).refused()
+    assert "--results names no folder" in run(*command[:-1]).refused()
     assert "nowhere does not exist" in run(*command[:-1], tmp_path / "nowhere").refused()
     (near / "car1.txt").write_text(box(10) * 3)
     assert "near/car1.txt have 3 rows, but 4 are needed" in run(*command).refused()

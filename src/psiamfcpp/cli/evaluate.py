@@ -44,6 +44,8 @@ def evaluate(
     """
     if jobs < 1:
         raise UserError(f"--jobs is {jobs}: it must be at least 1")
+    if not tracker:
+        raise UserError("--tracker names none: give a model, MODULE:CLASS or one of OpenCV's")
     choices = [choose(entry, options) for entry in tracker]
     sequences = datasets.BENCHMARKS[dataset].read(root.resolve())
     with contextlib.ExitStack() as stack:

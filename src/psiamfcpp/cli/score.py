@@ -8,6 +8,7 @@ from typing import Any, Literal
 
 from psiamfcpp.cli.output import notes, print_json
 from psiamfcpp.datasets import BENCHMARKS, BenchmarkName
+from psiamfcpp.errors import UserError
 from psiamfcpp.evaluation.metrics import Convention
 from psiamfcpp.evaluation.results import Files, count_missing, find_all, read_speed, score_results
 from psiamfcpp.evaluation.table import result_row
@@ -37,6 +38,8 @@ def score(
         allow_missing: score a tracker on the sequences that it has, and say how many are missing.
         json: print one JSON object.
     """
+    if not results:
+        raise UserError("--results names no folder: give those of the trackers")
     benchmark = BENCHMARKS[dataset]
     labels = benchmark.read_labels(annotations)
     trackers = find_all(results, (dataset, *benchmark.folders[:1]), labels)
