@@ -45,7 +45,7 @@ def test_what_is_there(run: Run, root: Path) -> None:
     assert found["dtb70"] == whole
     assert found["folder"] == whole | {"root": str(root)}
     assert (found["uavdt"]["sequences"], found["uavdt"]["labels"], found["uavdt"]["frames"]) == (1, 2, 0)
-    assert "holds no sequence of visdrone2018; expected layout" in found["visdrone2018"]["problem"]
+    assert "annotations/<sequence>.txt is missing; expected layout" in found["visdrone2018"]["problem"]
     assert found["otb100"] is found["uav20l"] is None
 
 

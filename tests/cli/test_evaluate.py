@@ -33,7 +33,16 @@ def test_evaluate_scores_a_folder(run: Run, blob_engine: Any, blob_sequence: Seq
     assert data.keys() == {"results"}
     assert [row["convention"] for row in data["results"]] == ["otb", "got10k"]
     for row in data["results"]:
-        assert row.keys() == {"tracker", "dataset", "convention", "invalid_rows", "sequences", *FIGURES, *SPEED}
+        assert row.keys() == {
+            "tracker",
+            "dataset",
+            "convention",
+            "invalid_rows",
+            "missing_sequences",
+            "sequences",
+            *FIGURES,
+            *SPEED,
+        }
         assert (row["tracker"], row["dataset"]) == ("blob", "folder")
         assert row["fps"] > 0
         assert row["fps_mean"] > 0
@@ -78,6 +87,7 @@ def test_evaluate_refuses(run: Run, tiny_model: Path, tmp_path: Path, blob_seque
     assert "holds no sequence" in run(*base, tmp_path).refused()
     root = blob_sequence("car1", PATH[:3])
     assert "unknown engine" in run(*base, root, "--engine", "steam").refused()
+    assert "--tracker names none" in run("evaluate", "--root", root, "--tracker").refused()
     assert "--jobs is 0" in run(*base, root, "--jobs", 0).refused()
     (root / "car1" / "img" / "0002.png").write_bytes(b"")
     message = run(*base, root).refused()

@@ -40,6 +40,11 @@ def test_benchmarks_and_annotations_come_in_pairs(run: Run, results: Path, tmp_p
     assert message == "--dataset names 1 benchmarks, but --annotations 0 folders"
 
 
+def test_no_results(run: Run, tmp_path: Path) -> None:
+    assert run("report", "-o", tmp_path / "out").refused().startswith("no folder of results is named")
+    assert not (tmp_path / "out").exists()
+
+
 def test_without_matplotlib_the_mend_is_said(
     run: Run, results: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

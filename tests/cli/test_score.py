@@ -43,7 +43,8 @@ def test_score_prints_one_json_object(run: Run, command: list[str | Path]) -> No
     rows = {(row["tracker"], row["convention"]): row for row in data["results"]}
     assert rows.keys() == {(t, c) for t in ("far", "near") for c in ("otb", "got10k")}
     for row in rows.values():
-        assert row.keys() == {"tracker", "dataset", "convention", *FIGURES, "invalid_rows", "sequences", "fps"}
+        others = {"invalid_rows", "missing_sequences", "sequences", "fps"}
+        assert row.keys() == {"tracker", "dataset", "convention", *FIGURES, *others}
         assert (row["dataset"], row["fps"], list(row["sequences"])) == ("dtb70", None, ["car1", "car2"])
         for figure in FIGURES:
             assert row[figure] == pytest.approx(sum(s[figure] for s in row["sequences"].values()) / 2)
@@ -73,6 +74,16 @@ def test_a_table_a_convention(run: Run, command: list[str | Path]) -> None:
     ]
 
 
+@pytest.mark.parametrize("again", [["--results"], []])
+def test_an_option_that_is_given_again_adds_its_values(run: Run, command: list[str | Path], again: list[str]) -> None:
+    *given, results = command
+    folders = [Path(results) / name for name in ("near", "far")]
+    # --results near --json --results far as --results near far --json
+    ended = run(*given, folders[0], *(["--json", *again, folders[1]] if again else [folders[1], "--json"]))
+    assert {row["tracker"] for row in json.loads(ended.out)["results"]} == {"near", "far"}
+    assert "near/nowhere does not exist" in run(*command, f"--results={folders[0]}/nowhere").refused()
+
+
 def test_one_tracker_is_shown_sequence_by_sequence(run: Run, command: list[str | Path]) -> None:
     *_, results = command
     ended = run(*command[:-1], Path(results) / "far", "--convention", "otb")
@@ -81,6 +92,30 @@ def test_one_tracker_is_shown_sequence_by_sequence(run: Run, command: list[str |
         ["car1", "0.500"],
         ["car2", "1.000"],
     ]
+
+
+def test_several_trackers_are_shown_sequence_by_sequence_on_demand(run: Run, command: list[str | Path]) -> None:
+    ended = run(*command, "--per-sequence", "--convention", "otb")
+    assert [line.split()[:2] for line in ended.out.splitlines()[4:]] == [
+        ["far", "0.750"],
+        ["car1", "0.500"],
+        ["car2", "1.000"],
+        ["near", "1.000"],
+        ["car1", "1.000"],
+        ["car2", "1.000"],
+    ]
+
+
+@pytest.mark.parametrize("place", ["", "times/"])
+def test_speed_comes_from_files_of_times(run: Run, command: list[str | Path], place: str) -> None:
+    *_, results = command
+    near = Path(results) / "near"
+    (near / place).mkdir(exist_ok=True)
+    for name in ("car1", "car2"):
+        # that of the first frame, of init, does not count
+        (near / place / f"{name}_time.txt").write_text("9\n0.02\n0.02\n0.05\n")
+    rows = json.loads(run(*command, "--json").out)["results"]
+    assert {row["tracker"]: row["fps"] for row in rows} == {"near": pytest.approx(50), "far": None}
 
 
 def test_a_missing_sequence(run: Run, command: list[str | Path]) -> None:
@@ -97,13 +132,14 @@ def test_a_missing_sequence(run: Run, command: list[str | Path]) -> None:
         "plots: a folder without results of dtb70, left out",
     ]
     far = json.loads(ended.out)["results"][0]
-    assert (list(far["sequences"]), far["precision"]) == (["car1"], 0.5)
+    assert (list(far["sequences"]), far["missing_sequences"], far["precision"]) == (["car1"], 1, 0.5)
 
 
 def test_what_cannot_be_scored_is_refused(run: Run, command: list[str | Path], tmp_path: Path) -> None:
     *_, results = command
     near = Path(results) / "near"
     assert "second tracker called near: rename its folder" in run(*command[:-1], near, results).refused()
+    assert "--results names no folder" in run(*command[:-1]).refused()
     assert "nowhere does not exist" in run(*command[:-1], tmp_path / "nowhere").refused()
     (near / "car1.txt").write_text(box(10) * 3)
     assert "near/car1.txt have 3 rows, but 4 are needed" in run(*command).refused()

@@ -26,14 +26,28 @@ def test_labels_of_a_plain_folder_stand_as_published(name: str, lay):
     np.testing.assert_equal(labels["b"], [[0] * 4, [np.nan] * 4])
 
 
-@pytest.mark.parametrize("name", BENCHMARKS)
-def test_a_wrong_root_shows_the_layout_on_one_line(name: str, tmp_path: Path):
+@pytest.mark.parametrize(
+    ("name", "missing"),
+    [
+        ("uav123-10fps", "anno/UAV123_10fps/<sequence>.txt"),
+        ("uav123", "anno/UAV123/<sequence>.txt"),
+        ("uav20l", "anno/UAV20L/<sequence>.txt"),
+        ("dtb70", "<sequence>/groundtruth_rect.txt"),
+        ("uavdt", "anno/<sequence>_gt.txt"),
+        ("visdrone2018", "annotations/<sequence>.txt"),
+        ("otb100", "<sequence>/groundtruth_rect.txt"),
+        ("got10k-val", "val/list.txt"),
+        ("folder", ".../groundtruth_rect.txt"),
+    ],
+)
+def test_a_wrong_root_names_what_is_missing_and_shows_the_layout_on_one_line(name: str, missing: str, tmp_path: Path):
     benchmark = BENCHMARKS[name]
     for read in (benchmark.read, benchmark.read_labels):
         with pytest.raises(UserError, match=r"nowhere does not exist"):
             read(tmp_path / "nowhere")
         with pytest.raises(UserError, match=r"holds no sequence.*; expected layout: .*<root>/") as caught:
             read(tmp_path)
+        assert f" {tmp_path}/{missing} is missing; " in str(caught.value)
         assert "\n" not in str(caught.value)
 
 

@@ -37,7 +37,24 @@ def test_boxes_of_nan_stay_nan(tmp_path: Path):
     np.testing.assert_equal(folder.read_boxes(path), [[np.nan] * 4, [1.5, 2, 3, 4]])
 
 
-@pytest.mark.parametrize("text", ["1,2,3\n", "1,2\n3,4\n", "1,2,3,4\n1,2\n", "1,2,3,4,5,6,7,8\n", "1,2,three,4\n"])
+@pytest.mark.parametrize(
+    "word", ["NaN", "nan", "NAN", "-nan", "+NaN", "nan(0x8000)", "-nan(ind)", "1.#QNAN", "-1.#IND", "1.#qnan00"]
+)
+def test_a_nan_in_any_spelling(tmp_path: Path, word: str):
+    path = tmp_path / "boxes.txt"
+    path.write_text(f"1,2,{word},4\n{word}\t{word}\t{word}\t{word}\n")
+    np.testing.assert_equal(folder.read_boxes(path), [[1, 2, np.nan, 4], [np.nan] * 4])
+
+
+def test_a_byte_order_mark_is_no_number(tmp_path: Path):
+    path = tmp_path / "boxes.txt"
+    path.write_text("1,2,3,4\r\n", "utf-8-sig")
+    assert folder.read_boxes(path).tolist() == [[1, 2, 3, 4]]
+
+
+@pytest.mark.parametrize(
+    "text", ["1,2,3\n", "1,2\n3,4\n", "1,2,3,4\n1,2\n", "1,2,3,4,5,6,7,8\n", "1,2,three,4\n", "1,2,nano,4\n"]
+)
 def test_boxes_that_are_not_four_numbers_a_line(tmp_path: Path, text: str):
     path = tmp_path / "boxes.txt"
     path.write_text(text)

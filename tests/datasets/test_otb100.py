@@ -34,18 +34,19 @@ def test_frames_that_the_labels_are_of(
     assert sequence.boxes.tolist() == [[1, 2, 3, 4]] * 3
 
 
-def test_two_targets_are_two_sequences(lay):
+@pytest.mark.parametrize("first", ["", "1,2,3,4\n"])
+def test_two_targets_are_two_sequences(lay, first: str):
     texts = {
         "Jogging/groundtruth_rect.1.txt": "1,2,3,4\n",
         "Jogging/groundtruth_rect.2.txt": "5,6,7,8\n",
-        "Human4/groundtruth_rect.1.txt": "",
+        "Human4/groundtruth_rect.1.txt": first,
         "Human4/groundtruth_rect.2.txt": "9,9,9,9\n",
     }
     root = lay(texts, images("Jogging", 1, 1) + images("Human4", 1, 1))
-    human, first, second = OTB100.read(root)
-    assert (human.name, first.name, second.name) == ("Human4-2", "Jogging-1", "Jogging-2")
-    assert (first.boxes.tolist(), second.boxes.tolist()) == ([[1, 2, 3, 4]], [[5, 6, 7, 8]])
-    assert first.frames == second.frames
+    human, one, two = OTB100.read(root)
+    assert (human.name, one.name, two.name) == ("Human4-2", "Jogging-1", "Jogging-2")
+    assert (one.boxes.tolist(), two.boxes.tolist()) == ([[1, 2, 3, 4]], [[5, 6, 7, 8]])
+    assert one.frames == two.frames
     assert list(OTB100.read_labels(root)) == ["Human4-2", "Jogging-1", "Jogging-2"]
 
 

@@ -72,12 +72,42 @@ def test_ranges_of_the_download(lay, place: str):
     assert numbers(long.frames) == [2, 3, 4, 5]
 
 
-def test_without_the_ranges_a_sequence_needs_its_own_folder(lay):
-    root = lay({"anno/UAV123/bike1.txt": boxes(3)}, images("UAV123", "bike1", 3) + images("UAV123", "car1", 4))
-    (bike,) = BENCHMARKS["uav123"].read(root)
-    assert numbers(bike.frames) == [1, 2, 3]
-    (root / "anno/UAV123/car1_1.txt").write_text(boxes(2))
-    with pytest.raises(UserError, match=r"sequence car1_1 has is not known: put .*configSeqs\.m into the root"):
+@pytest.mark.parametrize(
+    ("name", "rows", "first", "last"),
+    [
+        # bird1_2 has frames 259 to 493 at 10 frames a second: 775 to 1477 of those at 30
+        ("bird1_2", 703, 775, 1477),
+        # person12_2 from 201 on: 601 to 1621
+        ("person12_2", 1021, 601, 1621),
+        # uav6 is a whole video of 37 frames at 10 a second: 109 to 111 at 30
+        ("uav6", 109, 1, 109),
+        ("uav6", 111, 1, 111),
+    ],
+)
+def test_ranges_at_30_fps_follow_from_those_at_10(lay, name: str, rows: int, first: int, last: int):
+    root = lay({f"anno/UAV123/{name}.txt": boxes(rows)}, images("UAV123", name.partition("_")[0], last))
+    (sequence,) = BENCHMARKS["uav123"].read(root)
+    assert numbers(sequence.frames) == list(range(first, last + 1))
+    assert {path.parent.name for path in sequence.frames} == {name.partition("_")[0]}
+
+
+def test_a_sequence_of_uav20l_is_a_whole_video(lay):
+    root = lay({"anno/UAV20L/bird1.txt": boxes(3)}, images("UAV123", "bird1", 4))
+    (bird,) = BENCHMARKS["uav20l"].read(root)
+    assert numbers(bird.frames) == [1, 2, 3]
+
+
+@pytest.mark.parametrize("name", ["uav123", "uav123-10fps"])
+def test_a_folder_with_a_frame_a_label_needs_no_range(lay, name: str):
+    data = {"uav123": "UAV123", "uav123-10fps": "UAV123_10fps"}[name]
+    root = lay({f"anno/{data}/bike1.txt": boxes(3), f"anno/{data}/mine.txt": boxes(2)}, images(data, "bike1", 3))
+    lay({}, images(data, "mine", 2))
+    assert [numbers(sequence.frames) for sequence in BENCHMARKS[name].read(root)] == [[1, 2, 3], [1, 2]]
+
+
+def test_a_part_of_a_video_needs_a_range(lay):
+    root = lay({"anno/UAV123/mine_1.txt": boxes(2)}, images("UAV123", "mine", 4))
+    with pytest.raises(UserError, match=r"sequence mine_1 has is not known: put .*configSeqs\.m into the root"):
         BENCHMARKS["uav123"].read(root)
 
 

@@ -22,6 +22,9 @@ def test_the_report_is_readable_on_a_desk_and_on_a_phone(browser: Any, report: l
         assert errors == []
         assert page.evaluate("[...document.images].every(i => i.complete && i.naturalWidth > 0)")
         assert page.evaluate("document.documentElement.scrollWidth") == width
+        assert page.evaluate(
+            "[...document.querySelectorAll('p')].every(e => e.getBoundingClientRect().right <= innerWidth)"
+        )
         sizes = page.evaluate("[...document.querySelectorAll('p, td, th')].map(e => getComputedStyle(e).fontSize)")
         assert min(float(size.removesuffix("px")) for size in sizes) >= 12
         # one convention at a time, and the other on demand, without a script

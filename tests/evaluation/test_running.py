@@ -36,6 +36,13 @@ class Slow:
         return self.box
 class Other(Slow):
     pass
+class Known(Slow):
+    def init(self, image, box):
+        pathlib.Path(f"pid{os.getpid()}").touch()
+        super().init(image, box)
+class Wordy(Slow):
+    def update(self, image):
+        raise ValueError("no\\nway")
 class Deadly(Slow):
     def update(self, image):
         os.kill(os.getpid(), 9)
@@ -92,6 +99,33 @@ def test_a_killed_run_goes_on_where_it_was(root: Path, module: str, tmp_path: Pa
     assert main([*command, "--json"]) == 0
     assert inits() == len(NAMES) - len(done)
     assert results(folder).keys() == {*NAMES}
+
+
+def test_a_killed_run_leaves_no_worker_behind(root: Path, module: str, tmp_path: Path) -> None:
+    command = ["evaluate", "--root", str(root), "--tracker", f"{module}:Known", "--results", str(tmp_path / "r")]
+    process = subprocess.Popen(
+        [sys.executable, "-m", "psiamfcpp", *command, "--jobs", "2"], env={**os.environ, "PAUSE": "60"}
+    )
+    deadline = time.monotonic() + 60
+    while len(workers := [*tmp_path.glob("pid*")]) < 2 and time.monotonic() < deadline and process.poll() is None:
+        time.sleep(0.01)
+    process.kill()
+    process.wait()
+    left = {int(path.name.removeprefix("pid")) for path in workers}
+    assert len(left) == 2
+    while left and time.monotonic() < deadline:
+        time.sleep(0.05)
+        left = {pid for pid in left if _runs(pid)}
+    assert not left
+
+
+def _runs(pid: int) -> bool:
+    try:
+        os.kill(pid, 0)
+        # where nobody buries the dead they keep their number
+        return "State:\tZ" not in Path(f"/proc/{pid}/status").read_text()
+    except (ProcessLookupError, FileNotFoundError):
+        return False
 
 
 @pytest.mark.parametrize(
@@ -207,6 +241,16 @@ def test_a_tracker_that_cannot_be_opened_leaves_nothing_behind(root: Path, modul
     with pytest.raises(UserError, match="cannot be opened"):
         run(choices, "folder", root, datasets.read("folder", root), tmp_path / "r")
     assert not (tmp_path / "r").exists()
+
+
+def test_what_went_wrong_is_one_line_a_sequence(root: Path, module: str, tmp_path: Path) -> None:
+    sequences = datasets.read("folder", root)
+    problems = run([choose(f"{module}:Wordy")], "folder", root, sequences, tmp_path / "r")
+    assert len(problems) == len(NAMES)
+    for name, problem in zip(NAMES, problems, strict=True):
+        assert problem.startswith(f"Wordy on sequence {name}: ")
+        assert "ValueError: no way" in problem
+    assert results(tmp_path / "r" / "folder" / "Wordy") == {}
 
 
 @pytest.mark.parametrize("text", ["", "{}", "[]", json.dumps({"format": "psiamfcpp-run/9"})])

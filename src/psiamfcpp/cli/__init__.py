@@ -11,7 +11,7 @@ import os
 import re
 import sys
 from collections.abc import Callable
-from typing import Any
+from typing import Any, get_origin, get_type_hints
 
 import tyro
 
@@ -100,6 +100,7 @@ def _run(command: str, args: list[str]) -> None:
     # A module may not be called import.
     module = importlib.import_module(f"psiamfcpp.cli.{'import_' if command == 'import' else command}")
     function = module.import_ if command == "import" else getattr(module, command)
+    args = _gathered(function, args)
     complaint = io.StringIO()
     try:
         with contextlib.redirect_stderr(complaint):
@@ -118,6 +119,28 @@ def _parse(command: str, function: Callable[..., None], args: list[str]) -> Call
         args=args,
         config=(tyro.conf.OmitArgPrefixes, tyro.conf.FlagCreatePairsOff),
     )
+
+
+def _gathered(function: Callable[..., None], args: list[str]) -> list[str]:
+    """`--tracker A --tracker B` as `--tracker A B`: of an option of several values, tyro would keep the last alone."""
+    # those that tyro appends, and positional ones, are annotated
+    hints = get_type_hints(function, include_extras=True)
+    several = {f"--{name.replace('_', '-')}" for name, hint in hints.items() if get_origin(hint) in (list, tuple)}
+    group: list[str] = []
+    groups = [group]
+    for arg in args:
+        name, sign, value = arg.partition("=")
+        option = name.replace("_", "-")
+        if option in several:
+            if not (earlier := [known for known in groups if known[:1] == [option]]):
+                groups += (earlier := [[option]])
+            group = earlier[0]
+            group += [value] if sign else []
+        elif re.match("--?[a-z]", arg):
+            groups.append(group := [arg])
+        else:
+            group.append(arg)
+    return [arg for group in groups for arg in group]
 
 
 def _misspelt(command: str, function: Callable[..., None], args: list[str]) -> str | None:

@@ -9,7 +9,7 @@ from typing import Any
 
 from psiamfcpp import datasets
 from psiamfcpp.cli.output import notes, print_json, progress
-from psiamfcpp.cli.score import BOTH, print_tables, score_rows
+from psiamfcpp.cli.score import BOTH, print_head, print_tables, score_rows
 from psiamfcpp.errors import UserError
 from psiamfcpp.evaluation.results import Files, read_speed
 from psiamfcpp.evaluation.running import CONDITIONS, read_run, result_files, run
@@ -44,6 +44,8 @@ def evaluate(
     """
     if jobs < 1:
         raise UserError(f"--jobs is {jobs}: it must be at least 1")
+    if not tracker:
+        raise UserError("--tracker names none: give a model, MODULE:CLASS or one of OpenCV's")
     choices = [choose(entry, options) for entry in tracker]
     sequences = datasets.BENCHMARKS[dataset].read(root.resolve())
     with contextlib.ExitStack() as stack:
@@ -63,8 +65,8 @@ def evaluate(
     if json:
         print_json({"results": rows})
         return
-    print(f"{dataset}: {len(labels)} sequences, {sum(map(len, labels.values()))} labels")
-    print_tables(rows)
+    print_head(dataset, labels)
+    print_tables(rows, per_sequence=len(tracker) == 1)
     print()
     for name, speed in speeds.items():
         print(f"{name}: {_describe(speed)}")

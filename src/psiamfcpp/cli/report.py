@@ -30,6 +30,8 @@ def report(
         annotations: labels of each of these benchmarks: its folder, or a plain one of SEQUENCE.txt.
         allow_missing: score a tracker on the sequences that it has, and say how many are missing.
     """
+    if not results:
+        raise UserError("no folder of results is named: give those that `evaluate` wrote")
     if len(dataset) != len(annotations):
         raise UserError(f"--dataset names {len(dataset)} benchmarks, but --annotations {len(annotations)} folders")
     import matplotlib  # noqa: F401 - its absence must be said before the results are read

@@ -8,6 +8,7 @@ from typing import Any, Literal
 
 from psiamfcpp.cli.output import notes, print_json
 from psiamfcpp.datasets import BENCHMARKS, BenchmarkName
+from psiamfcpp.errors import UserError
 from psiamfcpp.evaluation.metrics import Convention
 from psiamfcpp.evaluation.results import Files, count_missing, find_all, read_speed, score_results
 from psiamfcpp.evaluation.table import result_row
@@ -22,6 +23,7 @@ def score(
     annotations: Path,
     results: list[Path],
     convention: Literal["otb", "got10k", "both"] = "both",
+    per_sequence: bool = False,
     allow_missing: bool = False,
     json: bool = False,
 ) -> None:
@@ -32,9 +34,12 @@ def score(
         annotations: its labels: the benchmark's folder, or a plain one of SEQUENCE.txt.
         results: folders of one tracker each, or of a folder a tracker.
         convention: what rows without a valid label count for.
+        per_sequence: print each sequence's figures too, as is done for a single tracker anyway.
         allow_missing: score a tracker on the sequences that it has, and say how many are missing.
         json: print one JSON object.
     """
+    if not results:
+        raise UserError("--results names no folder: give those of the trackers")
     benchmark = BENCHMARKS[dataset]
     labels = benchmark.read_labels(annotations)
     trackers = find_all(results, (dataset, *benchmark.folders[:1]), labels)
@@ -43,9 +48,8 @@ def score(
     if json:
         print_json({"results": rows})
         return
-    size = "" if benchmark.size in (None, len(labels)) else f" of {benchmark.size}"
-    print(f"{dataset}: {len(labels)}{size} sequences, {sum(map(len, labels.values()))} labels")
-    print_tables(rows)
+    print_head(dataset, labels)
+    print_tables(rows, per_sequence or sum(map(bool, trackers.values())) == 1)
 
 
 def score_rows(
@@ -71,25 +75,30 @@ def score_rows(
         scores = score_results(labels, files, list(conventions))
         speed = read_speed(files)
         fps = None if speed is None else speed.median
-        rows += [result_row(name, dataset, kind, by_name, fps) for kind, by_name in scores.items()]
+        rows += [
+            {**result_row(name, dataset, kind, by_name, fps), "missing_sequences": missing}
+            for kind, by_name in scores.items()
+        ]
     return rows
 
 
-def print_tables(rows: list[dict[str, Any]]) -> None:
-    """A table a convention, in the order of the rows."""
+def print_head(dataset: BenchmarkName, labels: dict[str, FloatArray]) -> None:
+    """What is scored; a benchmark that is there in part is said to be."""
+    official = BENCHMARKS[dataset].size
+    size = "" if official in (None, len(labels)) else f" of {official}"
+    print(f"{dataset}: {len(labels)}{size} sequences, {sum(map(len, labels.values()))} labels")
+
+
+def print_tables(rows: list[dict[str, Any]], per_sequence: bool) -> None:
+    """A table a convention: a line a tracker, in the order of the rows, each followed by its sequences if wanted."""
     for kind in dict.fromkeys(row["convention"] for row in rows):
-        _print_table(kind, [row for row in rows if row["convention"] == kind])
-
-
-def _print_table(convention: Convention, rows: list[dict[str, Any]]) -> None:
-    """One convention's figures: sequence by sequence where there is one tracker, else a line a tracker."""
-    print(f"\n{convention}: rows without a valid label {_COUNTS_FOR[convention]}")
-    print(f"{'tracker':30} precision  norm. precision    AUC  success@0.5  invalid rows")
-    for row in rows:
-        print(f"{row['tracker']:30} {_figures(row)}  {row['invalid_rows']:12}")
-    if len(rows) == 1:
-        for name, figures in rows[0]["sequences"].items():
-            print(f"  {name:28} {_figures(figures)}")
+        print(f"\n{kind}: rows without a valid label {_COUNTS_FOR[kind]}")
+        print(f"{'tracker':30} precision  norm. precision    AUC  success@0.5  invalid rows")
+        for row in rows:
+            if row["convention"] == kind:
+                print(f"{row['tracker']:30} {_figures(row)}  {row['invalid_rows']:12}")
+                for name, figures in row["sequences"].items() if per_sequence else ():
+                    print(f"  {name:28} {_figures(figures)}")
 
 
 def _figures(row: dict[str, Any]) -> str:

@@ -33,6 +33,8 @@ class Benchmark:
     """where to get it"""
     layout: str
     """the expected layout, in one line"""
+    labels: str
+    """where in its folder the labels are: named when there are none"""
     reader: Callable[[Path], list[Sequence]]
     """sequences of a root; an empty list where there is none"""
     label_files: Callable[[Path], dict[str, Path]]
@@ -73,7 +75,10 @@ class Benchmark:
             raise UserError(f"dataset folder {root} does not exist")
 
     def _refuse(self, root: Path, other: str = "") -> NoReturn:
-        raise UserError(f"{root} holds no sequence of {self.name}; expected layout: {other}{self.layout}")
+        raise UserError(
+            f"{root} holds no sequence of {self.name}: {root / self.labels} is missing; "
+            f"expected layout: {other}{self.layout}"
+        )
 
 
 def _letters(name: str) -> str:
@@ -82,7 +87,8 @@ def _letters(name: str) -> str:
 
 def _uav(part: Uav123, folders: tuple[str, ...], size: int) -> Benchmark:
     source = "https://cemse.kaust.edu.sa/ivul/uav123"
-    return Benchmark(part.name, folders, size, source, part.layout, part.read, part.label_files)
+    labels = f"anno/{part.labels}/<sequence>.txt"
+    return Benchmark(part.name, folders, size, source, part.layout, labels, part.read, part.label_files)
 
 
 BENCHMARKS = {
@@ -98,6 +104,7 @@ BENCHMARKS = {
             70,
             "https://github.com/flyers/drone-tracking",
             dtb70.LAYOUT,
+            "<sequence>/groundtruth_rect.txt",
             dtb70.read,
             dtb70.label_files,
         ),
@@ -107,6 +114,7 @@ BENCHMARKS = {
             50,
             "https://sites.google.com/view/grli-uavdt",
             uavdt.LAYOUT,
+            "anno/<sequence>_gt.txt",
             uavdt.read,
             uavdt.label_files,
         ),
@@ -116,6 +124,7 @@ BENCHMARKS = {
             35,
             "https://github.com/VisDrone/VisDrone-Dataset",
             visdrone2018.LAYOUT,
+            "annotations/<sequence>.txt",
             visdrone2018.read,
             visdrone2018.label_files,
         ),
@@ -125,6 +134,7 @@ BENCHMARKS = {
             100,
             "http://cvlab.hanyang.ac.kr/tracker_benchmark",
             otb100.LAYOUT,
+            "<sequence>/groundtruth_rect.txt",
             otb100.read,
             otb100.label_files,
         ),
@@ -134,9 +144,19 @@ BENCHMARKS = {
             180,
             "http://got-10k.aitestunion.com",
             got10k_val.LAYOUT,
+            "val/list.txt",
             got10k_val.read,
             got10k_val.label_files,
         ),
-        Benchmark("folder", (), None, "your own clips", folder.LAYOUT, folder.read, folder.label_files),
+        Benchmark(
+            "folder",
+            (),
+            None,
+            "your own clips",
+            folder.LAYOUT,
+            ".../groundtruth_rect.txt",
+            folder.read,
+            folder.label_files,
+        ),
     )
 }

@@ -24,8 +24,8 @@ def label_files(root: Path) -> dict[str, Path]:
     files = {}
     for path in sorted(root.glob("*/groundtruth_rect*.txt")):
         number = path.stem.removeprefix("groundtruth_rect").lstrip(".")
-        # Human4 comes with an empty first file: the benchmark follows its second target alone.
-        if not number or path.read_text().strip():
+        # The benchmark follows the second target of Human4 alone, whatever its first file holds.
+        if (path.parent.name, number) != ("Human4", "1"):
             files[path.parent.name + (f"-{number}" if number else "")] = path
     return files
 

@@ -1,7 +1,8 @@
 """UAV123, UAV20L and UAV123@10fps (Mueller et al., ECCV 2016): long videos, cut into sequences by frame ranges.
 
-`car1_1` and `car1_2` are parts of the folder `car1`. Which frames a sequence has stands in the download's MATLAB file
-``configSeqs.m``; the ranges at 10 frames a second are shipped here.
+`car1_1` and `car1_2` are parts of the folder `car1`. Which frames a sequence has stands in ``configSeqs.m`` of the
+authors' MATLAB toolkit. Where that is not at hand, the ranges at 10 frames a second, which are shipped here, tell those
+of UAV123 too, since they are of every third frame; the sequences of UAV20L are whole videos.
 """
 
 from __future__ import annotations
@@ -45,8 +46,7 @@ class Uav123:
     @property
     def layout(self) -> str:
         """The expected layout, in one line."""
-        folders = f"<root>/data_seq/{self.frames}/<folder>/000001.jpg and <root>/anno/{self.labels}/<sequence>.txt"
-        return folders if self.name == "uav123-10fps" else f"{folders}, with <root>/configSeqs.m of the download"
+        return f"<root>/data_seq/{self.frames}/<folder>/000001.jpg and <root>/anno/{self.labels}/<sequence>.txt"
 
     def label_files(self, root: Path) -> dict[str, Path]:
         """The label file of each sequence, by name."""
@@ -60,13 +60,14 @@ class Uav123:
         """
         files = self.label_files(root)
         folders = require(root / "data_seq" / self.frames, self.layout) if files else root
-        ranges = _shipped_ranges() if self.name == "uav123-10fps" else _published_ranges(root, self.frames)
+        ranges = self._ranges(root)
         # Parts of one video share its folder: list it once.
         present = functools.cache(lambda folder: {path.name for path in require(folder, self.layout).glob("*.jpg")})
         sequences = []
         for name, truth in files.items():
             boxes = read_boxes(truth)
-            part = _choose(name, len(boxes), ranges.get(name, []), folders)
+            own = len(present(folders / name)) if (folders / name).is_dir() else 0
+            part = _choose(name, len(boxes), ranges.get(name, []), own)
             folder = folders / part.folder
             frames = [folder / f"{number:06d}.jpg" for number in range(part.first, part.last + 1)]
             lacking = next((frame for frame in frames if frame.name not in present(folder)), None)
@@ -75,21 +76,28 @@ class Uav123:
             sequences.append(labelled(name, frames, boxes, self.name))
         return sequences
 
+    def _ranges(self, root: Path) -> dict[str, list[_Range]]:
+        """What the frames of each sequence may be."""
+        if self.name == "uav123-10fps":
+            return _shipped_ranges()
+        return _published_ranges(root, self.frames) or (_ranges_at_30fps() if self.name == "uav123" else {})
+
 
 UAV123 = Uav123("uav123", "UAV123", "UAV123")
 UAV20L = Uav123("uav20l", "UAV123", "UAV20L")
 UAV123_10FPS = Uav123("uav123-10fps", "UAV123_10fps", "UAV123_10fps")
 
 
-def _choose(name: str, rows: int, ranges: list[_Range], folders: Path) -> _Range:
+def _choose(name: str, rows: int, ranges: list[_Range], own: int) -> _Range:
+    """The range that holds as many frames as there are labels; ``own`` is how many a folder of the name itself has."""
     # configSeqs.m lists UAV123 and UAV20L, which share names and folders: the number of labels tells them apart.
     fitting = [part for part in ranges if part.last - part.first + 1 == rows]
     if fitting:
         return fitting[0]
-    if not ranges and (folders / name).is_dir():
+    if own and (not ranges or own == rows):
         return _Range(name, 1, rows)
     if not ranges:
-        raise UserError(f"which frames sequence {name} has is not known: put the download's configSeqs.m into the root")
+        raise UserError(f"which frames sequence {name} has is not known: put the toolkit's configSeqs.m into the root")
     lengths = " or ".join(str(part.last - part.first + 1) for part in ranges)
     raise UserError(
         f"sequence {name} has {rows} boxes, but its range of frames holds {lengths}: fetch the labels again"
@@ -102,6 +110,14 @@ def _shipped_ranges() -> dict[str, list[_Range]]:
             row["sequence"]: [_Range(row["folder"], int(row["first_frame"]), int(row["last_frame"]))]
             for row in csv.DictReader(file)
         }
+
+
+def _ranges_at_30fps() -> dict[str, list[_Range]]:
+    """Ranges of UAV123: frame k at 10 frames a second is its frame 3k - 2, and up to two follow the last."""
+    return {
+        name: [_Range(part.folder, 3 * part.first - 2, 3 * part.last - 2 + after) for after in range(3)]
+        for name, (part,) in _shipped_ranges().items()
+    }
 
 
 def _published_ranges(root: Path, frames: str) -> dict[str, list[_Range]]:

@@ -12,14 +12,14 @@ from psiamfcpp import __version__
 from psiamfcpp.evaluation.compare import CONVENTIONS, PAPER, Comparison, average
 from psiamfcpp.evaluation.metrics import Convention
 from psiamfcpp.evaluation.published import Published, averaged, pruned_layers
-from psiamfcpp.evaluation.tables import by_attribute, rows
+from psiamfcpp.evaluation.tables import FIGURES, by_attribute, rows, speed_columns
 
 _STYLE = Path(__file__).with_name("report.css")
 _CONVENTIONS = {
     "otb": "a row without a valid label counts as a precision hit and an overlap miss",
     "got10k": "rows without a label are dropped",
 }
-_HEAD = ("Tracker", "Precision", "Norm. precision", "AUC", "Success@0.5", "FPS (CPU)")
+_HEAD = ("Tracker", "Precision", "Norm. precision", "AUC", "Success@0.5")
 _RANKS = ("first", "second", "third")
 
 
@@ -137,15 +137,16 @@ def _benchmark(comparison: Comparison, plots: dict[str, bytes], frames: str) -> 
 
 def _figures(comparison: Comparison, kind: Convention) -> str:
     listed = rows(comparison, kind)
-    keys = ("precision", "normalized_precision", "auc", "success50", "fps")
+    speeds = speed_columns(listed)
+    keys = (*FIGURES, *speeds)
     ranks = {key: _ranks([row[key] if row["kind"] == "measured" else None for row in listed]) for key in keys}
     body = "".join(
         f'<tr class="{row["kind"]}"><th>{escape(row["tracker"])} {_tag(row["kind"])}</th>'
-        + "".join(_number(row[key], ranks[key][i], 1 if key == "fps" else 3) for key in keys)
+        + "".join(_number(row[key], ranks[key][i], 1 if key in speeds else 3) for key in keys)
         + f'<td class="text">{escape(row["source"])}</td></tr>'
         for i, row in enumerate(listed)
     )
-    head = "".join(f"<th>{name}</th>" for name in _HEAD) + '<th class="text">Source</th>'
+    head = "".join(f"<th>{name}</th>" for name in (*_HEAD, *speeds.values())) + '<th class="text">Source</th>'
     elsewhere = sum(row.convention not in (kind, None) for row in comparison.published)
     note = f" {elsewhere} published rows follow the other convention, and are shown with it." if elsewhere else ""
     return f"<h3>Figures</h3>{_table(f'<tr>{head}</tr>', body, f'Convention {kind}.{note}')}"
@@ -233,8 +234,9 @@ def _per_convention(part: Callable[[Convention], str]) -> str:
 
 
 def _table(head: str, body: str, caption: str) -> str:
-    inside = f"<caption>{escape(caption)}</caption><thead>{head}</thead><tbody>{body}</tbody>"
-    return f'<div class="scroll"><table>{inside}</table></div>'
+    # Outside of what scrolls: on a phone a caption as wide as its table could not be read.
+    inside = f"<table><thead>{head}</thead><tbody>{body}</tbody></table>"
+    return f'<p class="soft">{escape(caption)}</p><div class="scroll">{inside}</div>'
 
 
 def _ranks(values: list[Any]) -> list[str]:

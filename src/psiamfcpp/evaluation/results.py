@@ -98,8 +98,9 @@ class Speed:
 
 
 def read_speed(files: Files) -> Speed | None:
-    """Speed from the files of times, ``<sequence>_time.txt``, beside the results; the first frame does not count.
+    """Speed from the files of times, ``<sequence>_time.txt``; the first frame does not count.
 
+    They lie beside the results, or in a folder ``times`` there, as the GOT-10k toolkit leaves them for OTB and UAV123.
     None where a sequence has no such file, or the times in it tell nothing.
 
     Raises:
@@ -107,10 +108,11 @@ def read_speed(files: Files) -> Speed | None:
     """
     updates: list[FloatArray] = []
     for name, path in files.items():
-        beside = path.with_name(f"{name}_time.txt")
-        if not beside.is_file():
+        places = (path.with_name(f"{name}_time.txt"), path.parent / "times" / f"{name}_time.txt")
+        found = next((place for place in places if place.is_file()), None)
+        if found is None:
             return None
-        seconds = read_times(beside)
+        seconds = read_times(found)
         # before the first label there is no time; the first there is, is that of init
         updates.append(seconds[np.isfinite(seconds)][1:])
     together = np.concatenate(updates) if updates else np.empty(0)

@@ -11,6 +11,7 @@ import json
 import os
 import platform
 import threading
+import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -148,7 +149,7 @@ def _in_parallel(pending: list[Job], jobs: int, cluster: str | None) -> Iterator
         order = "list" if cluster else "generator_unordered"
         parallel = Parallel(n_jobs=-1 if cluster else jobs, batch_size=1, return_as=order)
         try:
-            yield from parallel(delayed(_attempt_in_worker)(job) for job in pending)
+            yield from parallel(delayed(_attempt_in_worker)(job, None if cluster else os.getpid()) for job in pending)
         except TerminatedWorkerError:
             text = "a process that ran sequences was killed, perhaps for memory"
             raise UserError(f"{text}: give fewer --jobs; what was done with --results stays") from None
@@ -186,10 +187,20 @@ _mine = threading.local()
 """the tracker that a worker has opened; one a thread, since Dask's workers may have several and trackers have state"""
 
 
-def _attempt_in_worker(job: Job) -> str | None:
+def _attempt_in_worker(job: Job, parent: int | None) -> str | None:
+    if parent is not None and not hasattr(_mine, "watch"):
+        _mine.watch = threading.Thread(target=_end_with, args=(parent,), daemon=True)
+        _mine.watch.start()
     if getattr(_mine, "choice", None) != job.choice:
         _mine.tracker, _mine.choice = job.choice.open(), job.choice
     return _attempt(_mine.tracker, job)
+
+
+def _end_with(parent: int) -> None:
+    """End this process soon after the one that started it: killed, that one cannot stop its workers any more."""
+    while os.getppid() == parent:
+        time.sleep(0.5)
+    os._exit(1)
 
 
 def _attempt(tracker: Follower, job: Job) -> str | None:
@@ -202,7 +213,8 @@ def _attempt(tracker: Follower, job: Job) -> str | None:
         write_whole(job.folder / f"{name}_time.txt", "".join(f"{t:.6f},{d:.6f}\n" for t, d in times))
         write_whole(job.folder / f"{name}.txt", "".join(",".join(f"{v:.4f}" for v in box) + "\n" for box in done.boxes))
     except UserError as error:
-        return f"{job.choice.name} on sequence {name}: {error}"
+        # what a foreign class raises may have many lines
+        return " ".join(f"{job.choice.name} on sequence {name}: {error}".split())
     return None
 
 

@@ -48,6 +48,12 @@ def rows(comparison: Comparison, convention: Convention) -> list[dict[str, Any]]
     return [*measured, *printed]
 
 
+def speed_columns(listed: list[dict[str, Any]]) -> dict[str, str]:
+    """Titles of the columns of speed, by key; that of GPUs only where a row has one, as published rows may."""
+    gpu = any(row["fps_gpu"] is not None for row in listed)
+    return {"fps": "FPS (CPU)"} | ({"fps_gpu": "FPS (GPU)"} if gpu else {})
+
+
 def by_attribute(comparison: Comparison, entry: Measured, convention: Convention) -> dict[str, dict[str, float]]:
     """Mean figures over the sequences of each attribute; attributes of which the tracker has no sequence are absent."""
     found = {}
@@ -99,14 +105,15 @@ def attributes_csv(comparisons: list[Comparison]) -> str:
 def latex(comparison: Comparison, convention: Convention) -> str:
     """A table for a paper (needs the package booktabs); published rows bear a dagger and their source."""
     listed = rows(comparison, convention)
+    speeds = speed_columns(listed)
     best = {key: max((row[key] for row in listed if row["kind"] == "measured"), default=None) for key in FIGURES}
     lines = [
         r"\begin{table}",
         r"\centering",
         rf"\caption{{{_escape(comparison.title)}, convention {convention}. $\dagger$: as published, not measured.}}",
-        r"\begin{tabular}{lrrrrr}",
+        rf"\begin{{tabular}}{{lrrrr{'r' * len(speeds)}}}",
         r"\toprule",
-        r"Tracker & Precision & Norm. precision & AUC & Success@0.5 & FPS (CPU) \\",
+        rf"Tracker & Precision & Norm. precision & AUC & Success@0.5 & {' & '.join(speeds.values())} \\",
         r"\midrule",
     ]
     for i, row in enumerate(listed):
@@ -114,8 +121,8 @@ def latex(comparison: Comparison, convention: Convention) -> str:
             lines.append(r"\midrule")
         name = _escape(row["tracker"]) + (r"$^\dagger$" if row["kind"] == "published" else "")
         cells = [_cell(row[key], row["kind"] == "measured" and row[key] == best[key]) for key in FIGURES]
-        fps = "--" if row["fps"] is None else f"{row['fps']:.1f}"
-        lines.append(" & ".join([name, *cells, fps]) + rf" \\ % {row['source']}")
+        cells += ["--" if row[key] is None else f"{row[key]:.1f}" for key in speeds]
+        lines.append(" & ".join([name, *cells]) + rf" \\ % {row['source']}")
     return "\n".join([*lines, r"\bottomrule", r"\end{tabular}", r"\end{table}", ""])
 
 
