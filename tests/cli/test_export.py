@@ -43,20 +43,22 @@ def test_int8_is_judged_by_layer_on_given_data(
 
 def test_what_the_graphs_cost_on_sequences_is_said(run: Run, tiny_model: Path, tmp_path: Path, blob_sequence) -> None:
     root = blob_sequence("alpha", [(100, 80, 40, 30), (110, 80, 40, 30), (120, 80, 40, 30)])
-    args = ("export", tiny_model, "-o", tmp_path / "graphs", "--pairs", "4", "--root", root)
+    args = ("export", tiny_model, "-o", tmp_path / "graphs", "--data", f"folder:{root}", "--pairs", "4", "--root", root)
     told = json.loads(run(*args, "--json").out)["followed"]
     assert told["graphs"] == pytest.approx(told["torch"])  # float graphs give the same boxes
     assert 1 / 3 < told["torch"]["precision"] <= 1 and 0 < told["torch"]["auc"] <= 1
     assert f"graphs precision {told['graphs']['precision']:.3f}, AUC" in run(*args).out
 
 
-def test_a_failed_check_writes_nothing(run: Run, tiny_model: Path, tmp_path: Path, monkeypatch) -> None:
+def test_a_failed_check_writes_nothing(run: Run, tiny_model: Path, tmp_path: Path, blob_sequence, monkeypatch) -> None:
+    data = blob_sequence("alpha", [(100, 80, 40, 30), (110, 80, 40, 30)])
     monkeypatch.setattr("psiamfcpp.export.files.compare", lambda *_: Difference(0.5, 0.0, 1.0))
-    said = run("export", tiny_model, "-o", tmp_path / "graphs", "--pairs", "4").refused()
+    args = ("export", tiny_model, "-o", tmp_path / "graphs", "--pairs", "4", "--data", f"folder:{data}")
+    said = run(*args).refused()
     assert said == (
         "the graphs are not the network: scores differ by up to 0.5 and boxes by up to 0 pixels; nothing was written"
     )
-    assert list(tmp_path.iterdir()) == []
+    assert list(tmp_path.iterdir()) == [data]
 
 
 @pytest.mark.parametrize(
