@@ -3,8 +3,9 @@
     python benchmarks/serve_soak.py --minutes 20 --model siamfcpp-alexnet
 
 Starts `psiamfcpp serve` on a rendered clip in a process of its own, connects and disconnects, keeps four clients that
-read nothing and one that reads all, sends what is wrong, and samples the server's memory, threads and sockets. Prints
-one JSON object; Linux only, since it reads /proc.
+read nothing and one that reads all, sends what is wrong, and samples the server's memory, threads and sockets: first
+with one client, after the connects, half-way, and last when all others have left. Prints one JSON object; Linux only,
+since it reads /proc.
 """
 
 from __future__ import annotations
@@ -115,7 +116,13 @@ def soak(address: str, process: int, minutes: float, connects: int, mavlink_port
         "tracker_ms_median": statistics.median(trackers),
         "beyond_tracker_ms_median": statistics.median(beyond),
         "refusals": refusals,
-        "samples": samples,
+        "samples": {
+            "first": samples[0],
+            "connected": samples[1],
+            "half": samples[len(samples) // 2],
+            "last": samples[-1],
+        },
+        "highest": {key: max(s[key] for s in samples) for key in samples[0]},
     }
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import socket
 import threading
 import time
 from collections.abc import Iterator
@@ -294,6 +295,17 @@ def test_foreign_origins_are_refused(address: str, http: httpx.Client, origin: s
     assert not follower.newest.tracks
 
 
+@pytest.mark.parametrize(
+    "headers", [{"Origin": "http://evil.example"}, {"Sec-Fetch-Site": "cross-site"}, {"Sec-Fetch-Site": "same-site"}]
+)
+def test_other_sites_pages_cannot_even_watch(http: httpx.Client, headers: dict[str, str]) -> None:
+    for path in ("/api/state", "/api/frame.jpg", "/api/stream.mjpg", "/page.js"):
+        assert http.get(path, headers=headers).status_code == 403
+    assert http.get("/api/state", headers={"Sec-Fetch-Site": "same-origin"}).status_code == 200
+    # a link to the page is no harm
+    assert http.get("/", headers={"Sec-Fetch-Site": "cross-site"}).status_code == 200
+
+
 def test_the_own_origin_is_welcome(address: str) -> None:
     with live(address, origin=f"http://{address}") as socket:
         assert state(socket)["frame"] > 0
@@ -458,6 +470,33 @@ def test_there_is_room_for_some_clients_only(address: str, http: httpx.Client) -
 # how it lasts
 
 
+def test_those_who_connect_and_say_nothing_keep_nobody_out(control: Control, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("psiamfcpp.serve.server._SILENT_S", 1)
+    with served(control) as address:
+        host, port = address.split(":")
+        begun = b"GET /api/state HTTP/1.1\r\nHost: 127.0.0.1\r\n"
+        sockets = [socket.create_connection((host, int(port))) for _ in range(70)]
+        with httpx.Client(base_url=f"http://{address}", timeout=30) as http:
+            http.get("/api/state")
+            for number, silent in enumerate(sockets):
+                silent.settimeout(30)
+                # some begin a request, some have had one answered and begin the next
+                silent.sendall([b"", begun, begun + b"\r\n" + begun][number % 3])
+            for silent in sockets:
+                while silent.recv(4096):
+                    pass
+                silent.close()
+            assert http.get("/api/state").status_code == 200
+
+
+def test_a_body_that_does_not_come_is_not_waited_for(address: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("psiamfcpp.serve.guard._BODY_S", 0.2)
+    host, port = address.split(":")
+    with socket.create_connection((host, int(port)), timeout=30) as slow:
+        slow.sendall(b"POST /api/targets HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Length: 30\r\n\r\n{")
+        assert slow.recv(4096).startswith(b"HTTP/1.1 4")
+
+
 def test_clients_that_read_nothing_delay_nobody(address: str, stream: Stream) -> None:
     rng = np.random.default_rng(0)
     noise = rng.integers(0, 255, (HEIGHT, WIDTH, 3), dtype=np.uint8)
@@ -487,7 +526,7 @@ def test_connects_and_disconnects_leave_nothing(address: str, http: httpx.Client
         socket.send(json.dumps({"type": "frame"}))
         socket.recv(timeout=30)
         if number % 2:
-            socket.socket.close()  # without a word
+            socket.socket.shutdown(2)  # without a word
         else:
             socket.close()
 
