@@ -62,8 +62,9 @@ def make_server(app: Guard, ready: Callable[[], None] = lambda: None) -> uvicorn
         lifespan="on",
         ws_max_size=4096,
         ws_max_queue=8,
-        ws_ping_interval=5.0,
-        ws_ping_timeout=10.0,
+        # behind the pictures that a slow link has still to carry, an answer takes its time
+        ws_ping_interval=10.0,
+        ws_ping_timeout=30.0,
         ws_per_message_deflate=False,  # pictures are compressed already
         limit_concurrency=64,
         timeout_keep_alive=_SILENT_S,
