@@ -270,7 +270,11 @@ def test_a_wrong_token_opens_nothing(control: Control, given: str | None) -> Non
 def test_the_token_opens_everything(control: Control) -> None:
     with served(control, token=TOKEN) as address:
         with httpx.Client(base_url=f"http://{address}") as http:
-            assert http.get("/api/state", headers={"Authorization": f"Bearer {TOKEN}"}).status_code == 200
+            known = {"Authorization": f"Bearer {TOKEN}"}
+            assert http.get("/api/state", headers=known).status_code == 200
+            described = http.get("/openapi.json", headers=known).json()
+            (name,) = described["security"][0]
+            assert described["components"]["securitySchemes"][name] == {"type": "http", "scheme": "bearer"}
             login = http.post("/api/login", json={"token": TOKEN})
             cookie = login.headers["set-cookie"]
             assert "HttpOnly" in cookie
@@ -401,6 +405,21 @@ def test_wrong_messages_are_refused_in_one_line(address: str, follower: Follower
         assert not reply["ok"]
         assert "\n" not in reply["error"]
         unharmed(follower)
+
+
+def test_a_refusal_names_its_request(address: str) -> None:
+    with live(address) as socket:
+        for message, number in (
+            ('{"type": "start", "box": [NaN, 1, 2, 3], "request": 41}', 41),
+            ('{"type": "fly", "request": 42}', 42),
+            ('{"type": "fly", "request": "43"}', None),
+            ("[" * 4000, None),
+            ('{"type": "start", "box": [9000, 1, 20, 20], "request": 44}', 44),
+        ):
+            socket.send(message)
+            while (reply := json.loads(socket.recv(timeout=30)))["type"] != "reply":
+                pass
+            assert (reply["ok"], reply["request"]) == (False, number)
 
 
 def test_a_client_that_only_makes_mistakes_is_sent_away(address: str, follower: Follower) -> None:

@@ -106,6 +106,11 @@ def build_app(control: Control, *, token: str | None = None, fov: float | None =
     _add_page(app, guarded)
     _add_commands(app, room)
     _add_views(app, room, Pictures(annotated, executor))
+    if token is not None:
+        # what the guard asks for, said where generated clients look for it
+        described = app.openapi()
+        described["components"]["securitySchemes"] = {"token": {"type": "http", "scheme": "bearer"}}
+        described["security"] = [{"token": []}]
     return guarded
 
 

@@ -158,7 +158,7 @@ class Client:
             try:
                 parsed = messages.MESSAGE.validate_json(text if text is not None else b"")
             except ValidationError as error:
-                if not await self._refuse(one_line(error)):
+                if not await self._refuse(one_line(error), request_of(text)):
                     return
                 continue
             if isinstance(parsed, messages.FrameWish):
@@ -222,6 +222,15 @@ async def start(room: Room, client: str, body: messages.StartBody) -> tuple[int,
         return await room.run(room.control.start, client, body.box)
     assert body.point is not None
     return await room.run(room.control.start_at, client, *body.point)
+
+
+def request_of(text: str | None) -> int | None:
+    """The number by which a client tells its messages apart, of one that is wrong otherwise."""
+    try:
+        found = json.loads(text or "")["request"]
+    except (ValueError, TypeError, KeyError, RecursionError):
+        return None
+    return found if isinstance(found, int) and not isinstance(found, bool) else None
 
 
 def one_line(error: ValidationError) -> str:
