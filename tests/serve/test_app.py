@@ -516,6 +516,18 @@ def test_a_body_that_does_not_come_is_not_waited_for(address: str, monkeypatch: 
         assert slow.recv(4096).startswith(b"HTTP/1.1 4")
 
 
+def test_a_client_that_reads_slowly_reads_what_is_new(address: str, stream: Stream, follower: Follower) -> None:
+    stream.fps = 100
+    with live(address, max_queue=1) as slow:
+        for _ in range(40):
+            time.sleep(0.05)
+            told = state(slow)
+            assert follower.newest is not None
+            # five frames go by between two looks: were they kept for it, it would be 160 behind at the end
+            assert told["frame"] > follower.newest.number - 100
+        slow.close_timeout = 0.1
+
+
 def test_clients_that_read_nothing_delay_nobody(address: str, stream: Stream) -> None:
     rng = np.random.default_rng(0)
     noise = rng.integers(0, 255, (HEIGHT, WIDTH, 3), dtype=np.uint8)

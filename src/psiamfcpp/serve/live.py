@@ -19,6 +19,7 @@ from pydantic import ValidationError
 from psiamfcpp.errors import UserError
 from psiamfcpp.serve import messages
 from psiamfcpp.serve.control import Bucket, Control
+from psiamfcpp.serve.pace import caught_up
 from psiamfcpp.serve.pictures import Pictures
 from psiamfcpp.serve.status import status
 
@@ -121,7 +122,9 @@ class Client:
         room, follower = self._room, self._room.control.follower
         told = pictured = events = 0
         last = None
+        ready = caught_up(self._socket)
         while not room.bell.closed:
+            await asyncio.wait_for(ready(), _SEND_S)
             shot = follower.newest
             room.control.lease.keep(self._name)
             state = {"type": "state", **room.state(self._name), "latency_ms": None, "jpeg": False}

@@ -11,11 +11,11 @@ from contextlib import contextmanager
 from typing import Any
 
 import uvicorn
-import websockets  # noqa: F401 - without it the server would refuse every WebSocket, silently
 
 from psiamfcpp.errors import UserError
 from psiamfcpp.serve.follower import Follower
 from psiamfcpp.serve.guard import Guard
+from psiamfcpp.serve.pace import PacedProtocol
 
 # One that asks nothing for so long, or takes nothing, must not keep others out.
 _SILENT_S = 5
@@ -60,6 +60,7 @@ def make_server(app: Guard, ready: Callable[[], None] = lambda: None) -> uvicorn
         server_header=False,
         proxy_headers=False,
         lifespan="on",
+        ws=PacedProtocol,
         ws_max_size=4096,
         ws_max_queue=8,
         # behind the pictures that a slow link has still to carry, an answer takes its time
