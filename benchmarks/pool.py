@@ -1,6 +1,6 @@
 """What several targets cost: one call of the engine a frame against a search for each.
 
-    python benchmarks/pool.py --targets 4 --threads 2 [--busy 1]
+    python benchmarks/pool.py --targets 4 --threads 2
 
 Prints the time of a frame with one target, with N in a `TargetPool`, and with N trackers one after the other, the
 median over frames of the demo clip; the three take turns, so that a disturbance of the machine meets all.
@@ -9,8 +9,6 @@ median over frames of the demo clip; the three take turns, so that a disturbance
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 import time
 from collections.abc import Callable
 from itertools import islice
@@ -30,7 +28,6 @@ def main(
     engine: str | None = None,
     threads: int | None = None,
     search_size: int | None = None,
-    busy: int = 0,
 ) -> None:
     """Measure and print one JSON object.
 
@@ -41,18 +38,8 @@ def main(
         engine: what runs the network.
         threads: threads of the engine; by default all cores.
         search_size: side of the search crop in pixels.
-        busy: processes that keep a core each busy meanwhile, as decoding a stream does.
     """
-    others = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(busy)]
-    try:
-        print(json.dumps(measure(targets, frames, (model, engine, threads, search_size))))
-    finally:
-        for other in others:
-            other.kill()
-
-
-def measure(targets: int, frames: int, options: tuple[str, str | None, int | None, int | None]) -> dict[str, object]:
-    """Times in ms; options are those of `Tracker`."""
+    options = (model, engine, threads, search_size)
     shots = list(islice(render(0), frames))
     first, box = shots[0].image, shots[0].box
     one, pool = TargetPool(*options), TargetPool(*options)
@@ -77,7 +64,7 @@ def measure(targets: int, frames: int, options: tuple[str, str | None, int | Non
             taken[name].append(1000 * (time.perf_counter() - start))
     medians = {f"{name}_ms": round(float(np.median(values)), 2) for name, values in taken.items()}
     share = round(medians["pool_ms"] / medians["one_by_one_ms"], 3)
-    return {"model": options[0], "targets": targets, "frames": frames - 1, **medians, "pool_share": share}
+    print(json.dumps({"model": model, "targets": targets, "frames": frames - 1, **medians, "pool_share": share}))
 
 
 if __name__ == "__main__":

@@ -19,7 +19,7 @@ class Lanes:
     """`Engine.search_many` by single searches that run side by side.
 
     A search that has a thread to itself never waits for others, while one that is spread over threads does at each
-    layer. A larger batch would save nothing else: one crop keeps the processor's arithmetic busy.
+    layer. A batch saves no more, since one crop keeps a core's arithmetic busy, and needs a graph for each size.
 
     Args:
         threads: that may be used in all.
