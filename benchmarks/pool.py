@@ -1,6 +1,6 @@
-"""What several targets cost: one batched search a frame against a search for each.
+"""What several targets cost: one call of the engine a frame against a search for each.
 
-    python benchmarks/pool.py --targets 4 --threads 1
+    python benchmarks/pool.py --targets 4 --threads 2
 
 Prints the time of a frame with one target, with N in a `TargetPool`, and with N trackers one after the other, the
 median over frames of the demo clip; the three take turns, so that a disturbance of the machine meets all.
@@ -39,9 +39,9 @@ def main(
         threads: threads of the engine; by default all cores.
         search_size: side of the search crop in pixels.
     """
+    options = (model, engine, threads, search_size)
     shots = list(islice(render(0), frames))
     first, box = shots[0].image, shots[0].box
-    options = (model, engine, threads, search_size)
     one, pool = TargetPool(*options), TargetPool(*options)
     one.add(first, box)
     # the same box: what is measured does not depend on what is seen

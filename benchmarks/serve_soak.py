@@ -2,9 +2,10 @@
 
     python benchmarks/serve_soak.py --minutes 20 --model siamfcpp-alexnet
 
-Starts `psiamfcpp serve` on a rendered clip in a process of its own, connects and disconnects, keeps four clients that
-read nothing and one that reads all, sends what is wrong, and samples the server's memory, threads and sockets. Prints
-one JSON object; Linux only, since it reads /proc.
+Starts `psiamfcpp serve` on a rendered clip in a process of its own, connects and disconnects, keeps four slow clients
+and one that reads all, sends what is wrong, and samples the server's memory, threads and sockets: first with one
+client, after the connects, half-way, and last when all have left. Prints one JSON object; Linux only, since it reads
+/proc.
 """
 
 from __future__ import annotations
@@ -91,21 +92,19 @@ def soak(address: str, process: int, minutes: float, connects: int, mavlink_port
     time.sleep(12)
     samples.append(sample(process))
     refusals: dict[str, int] = {}
-    slow = [connect(f"ws://{address}/api/live", max_queue=1).__enter__() for _ in range(4)]
+    slow = [threading.Thread(target=dawdle, args=(address, done, refusals)) for _ in range(4)]
     for client in slow:
-        for _ in range(3):
-            client.send('{"type": "frame"}')
+        client.start()
     end = time.monotonic() + 60 * minutes
     while time.monotonic() < end:
         attack(address, mavlink_port, refusals)
         time.sleep(10)
         samples.append(sample(process))
-    for client in slow:
-        client.socket.close()
-    time.sleep(12)
-    samples.append(sample(process))
     done.set()
-    reader.join()
+    for client in (*slow, reader):
+        client.join()
+    time.sleep(40)
+    samples.append(sample(process))
     beyond = [sent - own for sent, own in zip(latencies, trackers, strict=True)]
     return {
         "connects": connects,
@@ -115,7 +114,13 @@ def soak(address: str, process: int, minutes: float, connects: int, mavlink_port
         "tracker_ms_median": statistics.median(trackers),
         "beyond_tracker_ms_median": statistics.median(beyond),
         "refusals": refusals,
-        "samples": samples,
+        "samples": {
+            "first": samples[0],
+            "connected": samples[1],
+            "half": samples[len(samples) // 2],
+            "last": samples[-1],
+        },
+        "highest": {key: max(s[key] for s in samples) for key in samples[0]},
     }
 
 
@@ -136,6 +141,20 @@ def watch(address: str, done: threading.Event, latencies: list[float], trackers:
                 trackers.append(told["tracker_ms"])
             if not told["targets"] and told["frame"] % 15 == 0:
                 client.send('{"type": "start", "box": [600, 330, 60, 60]}')
+
+
+def dawdle(address: str, done: threading.Event, refusals: dict[str, int]) -> None:
+    """A client that takes ten messages a second of the many more that are meant for it, and all pictures it can get."""
+    with connect(f"ws://{address}/api/live", max_size=None, max_queue=1, ping_interval=None) as client:
+        client.send('{"type": "frame"}')
+        while not done.wait(0.1):
+            try:
+                message = client.recv(timeout=60)
+            except (ConnectionClosed, TimeoutError):
+                refusals["slow client lost"] = refusals.get("slow client lost", 0) + 1
+                return
+            if isinstance(message, bytes):
+                client.send('{"type": "frame"}')
 
 
 def touch(address: str, abrupt: bool) -> None:

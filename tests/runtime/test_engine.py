@@ -77,12 +77,13 @@ def test_all_engines_follow_a_clip_alike(engine: str, runnable: str, tiny_model:
     assert_allclose(boxes(runnable, engine), boxes(str(tiny_model), "torch"), atol=0.1)
 
 
-def test_many_crops_are_each_searched_with_their_own_kernels(engine: str, runnable: str) -> None:
-    opened = open_engine(runnable, engine, 1)
-    kernels = [opened.template(noise(127)), opened.template(255 - noise(127))]
-    crops = np.stack([noise(303), 255 - noise(303)])
+@pytest.mark.parametrize("threads", [1, 2])
+def test_many_crops_are_each_searched_with_their_own_kernels(engine: str, runnable: str, threads: int) -> None:
+    opened = open_engine(runnable, engine, threads)
+    crops = np.stack([noise(303), 255 - noise(303), noise(303) // 2])
+    kernels = [opened.template(crop[:127, :127].copy()) for crop in crops]
     scores, boxes = opened.search_many(crops, kernels)
-    for i in range(2):
+    for i in range(3):
         expected = opened.search(crops[i], kernels[i])
         assert_allclose(scores[i], expected[0], atol=1e-5)
         assert_allclose(boxes[i], expected[1], rtol=1e-4, atol=1e-4)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import socket
 import threading
 import time
 from collections.abc import Iterator
@@ -269,7 +270,11 @@ def test_a_wrong_token_opens_nothing(control: Control, given: str | None) -> Non
 def test_the_token_opens_everything(control: Control) -> None:
     with served(control, token=TOKEN) as address:
         with httpx.Client(base_url=f"http://{address}") as http:
-            assert http.get("/api/state", headers={"Authorization": f"Bearer {TOKEN}"}).status_code == 200
+            known = {"Authorization": f"Bearer {TOKEN}"}
+            assert http.get("/api/state", headers=known).status_code == 200
+            described = http.get("/openapi.json", headers=known).json()
+            (name,) = described["security"][0]
+            assert described["components"]["securitySchemes"][name] == {"type": "http", "scheme": "bearer"}
             login = http.post("/api/login", json={"token": TOKEN})
             cookie = login.headers["set-cookie"]
             assert "HttpOnly" in cookie
@@ -292,6 +297,17 @@ def test_foreign_origins_are_refused(address: str, http: httpx.Client, origin: s
     assert refusal.value.response.status_code == 403
     assert follower.newest is not None
     assert not follower.newest.tracks
+
+
+@pytest.mark.parametrize(
+    "headers", [{"Origin": "http://evil.example"}, {"Sec-Fetch-Site": "cross-site"}, {"Sec-Fetch-Site": "same-site"}]
+)
+def test_other_sites_pages_cannot_even_watch(http: httpx.Client, headers: dict[str, str]) -> None:
+    for path in ("/api/state", "/api/frame.jpg", "/api/stream.mjpg", "/page.js"):
+        assert http.get(path, headers=headers).status_code == 403
+    assert http.get("/api/state", headers={"Sec-Fetch-Site": "same-origin"}).status_code == 200
+    # a link to the page is no harm
+    assert http.get("/", headers={"Sec-Fetch-Site": "cross-site"}).status_code == 200
 
 
 def test_the_own_origin_is_welcome(address: str) -> None:
@@ -391,6 +407,21 @@ def test_wrong_messages_are_refused_in_one_line(address: str, follower: Follower
         unharmed(follower)
 
 
+def test_a_refusal_names_its_request(address: str) -> None:
+    with live(address) as socket:
+        for message, number in (
+            ('{"type": "start", "box": [NaN, 1, 2, 3], "request": 41}', 41),
+            ('{"type": "fly", "request": 42}', 42),
+            ('{"type": "fly", "request": "43"}', None),
+            ("[" * 4000, None),
+            ('{"type": "start", "box": [9000, 1, 20, 20], "request": 44}', 44),
+        ):
+            socket.send(message)
+            while (reply := json.loads(socket.recv(timeout=30)))["type"] != "reply":
+                pass
+            assert (reply["ok"], reply["request"]) == (False, number)
+
+
 def test_a_client_that_only_makes_mistakes_is_sent_away(address: str, follower: Follower) -> None:
     follower.add(BLOB)
     with live(address) as socket, pytest.raises(ConnectionClosed) as end:
@@ -458,6 +489,45 @@ def test_there_is_room_for_some_clients_only(address: str, http: httpx.Client) -
 # how it lasts
 
 
+def test_those_who_connect_and_say_nothing_keep_nobody_out(control: Control, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("psiamfcpp.serve.server._SILENT_S", 1)
+    with served(control) as address:
+        host, port = address.split(":")
+        begun = b"GET /api/state HTTP/1.1\r\nHost: 127.0.0.1\r\n"
+        sockets = [socket.create_connection((host, int(port))) for _ in range(70)]
+        with httpx.Client(base_url=f"http://{address}", timeout=30) as http:
+            http.get("/api/state")
+            for number, silent in enumerate(sockets):
+                silent.settimeout(30)
+                # some begin a request, some have had one answered and begin the next
+                silent.sendall([b"", begun, begun + b"\r\n" + begun][number % 3])
+            for silent in sockets:
+                while silent.recv(4096):
+                    pass
+                silent.close()
+            assert http.get("/api/state").status_code == 200
+
+
+def test_a_body_that_does_not_come_is_not_waited_for(address: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("psiamfcpp.serve.guard._BODY_S", 0.2)
+    host, port = address.split(":")
+    with socket.create_connection((host, int(port)), timeout=30) as slow:
+        slow.sendall(b"POST /api/targets HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Length: 30\r\n\r\n{")
+        assert slow.recv(4096).startswith(b"HTTP/1.1 4")
+
+
+def test_a_client_that_reads_slowly_reads_what_is_new(address: str, stream: Stream, follower: Follower) -> None:
+    stream.fps = 100
+    with live(address, max_queue=1) as slow:
+        for _ in range(40):
+            time.sleep(0.05)
+            told = state(slow)
+            assert follower.newest is not None
+            # five frames go by between two looks: were they kept for it, it would be 160 behind at the end
+            assert told["frame"] > follower.newest.number - 100
+        slow.close_timeout = 0.1
+
+
 def test_clients_that_read_nothing_delay_nobody(address: str, stream: Stream) -> None:
     rng = np.random.default_rng(0)
     noise = rng.integers(0, 255, (HEIGHT, WIDTH, 3), dtype=np.uint8)
@@ -487,7 +557,7 @@ def test_connects_and_disconnects_leave_nothing(address: str, http: httpx.Client
         socket.send(json.dumps({"type": "frame"}))
         socket.recv(timeout=30)
         if number % 2:
-            socket.socket.close()  # without a word
+            socket.socket.shutdown(2)  # without a word
         else:
             socket.close()
 

@@ -120,6 +120,10 @@ def test_a_server_that_was_away_is_found_again(visit: Callable[..., Any], contro
         page.wait_for_selector("#targets .state.tracking")
     page.wait_for_selector("#banner:visible")
     assert "No connection" in page.inner_text("#banner")
+    # nothing is offered that cannot be had, and nothing shown that is not known
+    assert page.locator("aside button:enabled").count() == 0
+    assert page.inner_text("#fps") == "\u2013"
+    assert not page.is_visible("#hint")
     with served(control, port=int(address.split(":")[1])):
         page.wait_for_selector(LIVE)
         page.wait_for_selector("#banner:visible", state="hidden")

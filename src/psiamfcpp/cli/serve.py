@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import math
 import os
 import tempfile
@@ -77,7 +78,7 @@ def serve(
             stack.callback(link.close)
         pool = TargetPool(model, engine, threads, search_size)
         path = _render_demo(stack) if source == "demo" else source
-        follower = Follower(_opener(path), pool)
+        follower = Follower(_opener(path, source), pool)
         recorder = None if record is None else Recorder(record, follower)
         control = Control(follower, recorder)
         stack.enter_context(follower)
@@ -92,8 +93,13 @@ def serve(
         server.run(server.make_server(app, lambda: notes.print(f"serving {url}")), listener, follower)
 
 
-def _opener(path: str) -> Callable[[Callable[[str], None]], Source]:
-    return lambda tell: open_source(path, on_event=tell, reconnect_s=math.inf)
+def _opener(path: str, source: str) -> Callable[[Callable[[str], None]], Source]:
+    def opened(tell: Callable[[str], None]) -> Source:
+        video = open_source(path, on_event=tell, reconnect_s=math.inf)
+        # where the demo was rendered to tells nobody anything
+        return dataclasses.replace(video, name=source) if path != source else video
+
+    return opened
 
 
 def _render_demo(stack: contextlib.ExitStack) -> str:

@@ -38,13 +38,6 @@ class Engine(Protocol):
         ...
 
 
-def one_by_one(engine: Engine, crops: Images, kernels: list[Any]) -> tuple[Float32Array, Float32Array]:
-    """`Engine.search_many` by `Engine.search`, for engines whose correlation takes one target at a time."""
-    answers = [engine.search(crop, kernel) for crop, kernel in zip(crops, kernels, strict=True)]
-    scores, boxes = (np.stack(part) for part in zip(*answers, strict=True))
-    return scores, boxes
-
-
 def usable_cores() -> int:
     """Cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import dataclasses
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import onnxruntime
 
 from psiamfcpp.geometry import Image
-from psiamfcpp.runtime.engine import Float32Array, Images, one_by_one, usable_cores
+from psiamfcpp.runtime.engine import Float32Array, Images, usable_cores
 from psiamfcpp.runtime.graph_file import damaged, graph_files, read_spec, same_model
+from psiamfcpp.runtime.lanes import Lanes, Search
 
 Kernels = tuple[Float32Array, Float32Array]
 
@@ -26,6 +28,13 @@ class OnnxEngine:
         self.spec = dataclasses.replace(described, search_size=size)
         self._search = _open(search, threads, size)
         same_model(template, described, search, read_spec(self._search.get_modelmeta().custom_metadata_map, search))
+
+        def open_lanes(count: int) -> list[Search]:
+            # a session may run in many threads at once
+            return [partial(_search, _open(search, total // count, size))] * count
+
+        total = threads or usable_cores()
+        self._lanes = Lanes(total, self.search, open_lanes)
         self._warm_up()
 
     def template(self, crop: Image) -> Kernels:
@@ -35,18 +44,22 @@ class OnnxEngine:
 
     def search(self, crop: Image, kernels: Kernels) -> tuple[Float32Array, Float32Array]:
         """Scores ``(N, N)`` and boxes ``(N, N, 4)`` of a search crop ``(S, S, 3)``, uint8, BGR."""
-        feed = {"crop": crop[None], "cls_kernel": kernels[0], "reg_kernel": kernels[1]}
-        scores, boxes = self._search.run(("scores", "boxes"), feed)
-        return scores[0], boxes[0]
+        return _search(self._search, crop, kernels)
 
     def search_many(self, crops: Images, kernels: list[Kernels]) -> tuple[Float32Array, Float32Array]:
         """Scores ``(B, N, N)`` and boxes ``(B, N, N, 4)`` of crops ``(B, S, S, 3)``, uint8, BGR."""
-        return one_by_one(self, crops, kernels)
+        return self._lanes.search_many(crops, kernels)
 
     def _warm_up(self) -> None:
         """Run once, so that the first frame costs no more than later ones."""
         z, x = (np.zeros((s, s, 3), np.uint8) for s in (self.spec.template_size, self.spec.search_size))
         self.search(x, self.template(z))
+
+
+def _search(session: onnxruntime.InferenceSession, crop: Image, kernels: Kernels) -> tuple[Float32Array, Float32Array]:
+    feed = {"crop": crop[None], "cls_kernel": kernels[0], "reg_kernel": kernels[1]}
+    scores, boxes = session.run(("scores", "boxes"), feed)
+    return scores[0], boxes[0]
 
 
 def open_session(
@@ -58,6 +71,8 @@ def open_session(
     # By itself onnxruntime counts the machine's cores, not those that this process may use, and its threads would
     # wait for each other in busy loops.
     options.intra_op_num_threads = threads or usable_cores()
+    # Between two searches its threads would go on in busy loops, and decoding, drawing and other sessions wait.
+    options.add_session_config_entry("session.force_spinning_stop", "1")
     if search_size is not None:
         # With its size known at load, onnxruntime lays out memory and folds the grid of cells once.
         options.add_free_dimension_override_by_name("size", search_size)

@@ -11,8 +11,9 @@ import numpy as np
 import openvino
 
 from psiamfcpp.geometry import Image
-from psiamfcpp.runtime.engine import Float32Array, Images, one_by_one, usable_cores
+from psiamfcpp.runtime.engine import Float32Array, Images, usable_cores
 from psiamfcpp.runtime.graph_file import damaged, graph_files, read_spec, same_model
+from psiamfcpp.runtime.lanes import Lanes, Search
 from psiamfcpp.spec import ModelSpec
 
 Kernels = tuple[Float32Array, Float32Array]
@@ -29,8 +30,14 @@ class OpenVinoEngine:
         size = described.search_size if search_size is None else search_size
         self.spec = dataclasses.replace(described, search_size=size)
         search_model.reshape({"crop": [1, size, size, 3]})
-        self._template = _compile(template, template_model, threads)
-        self._search = _compile(search, search_model, threads)
+        total = threads or usable_cores()
+        (self._template,) = _compile(template, template_model, total)
+        (self._search,) = _compile(search, search_model, total)
+
+        def open_lanes(count: int) -> list[Search]:
+            return [functools.partial(_search, lane) for lane in _compile(search, search_model, total, count)]
+
+        self._lanes = Lanes(total, self.search, open_lanes)
         self._warm_up()
 
     def template(self, crop: Image) -> Kernels:
@@ -40,13 +47,11 @@ class OpenVinoEngine:
 
     def search(self, crop: Image, kernels: Kernels) -> tuple[Float32Array, Float32Array]:
         """Scores ``(N, N)`` and boxes ``(N, N, 4)`` of a search crop ``(S, S, 3)``, uint8, BGR."""
-        feed = {"crop": crop[None], "cls_kernel": kernels[0], "reg_kernel": kernels[1]}
-        found = self._search.infer(feed, share_inputs=True)
-        return found["scores"][0], found["boxes"][0]
+        return _search(self._search, crop, kernels)
 
     def search_many(self, crops: Images, kernels: list[Kernels]) -> tuple[Float32Array, Float32Array]:
         """Scores ``(B, N, N)`` and boxes ``(B, N, N, 4)`` of crops ``(B, S, S, 3)``, uint8, BGR."""
-        return one_by_one(self, crops, kernels)
+        return self._lanes.search_many(crops, kernels)
 
     def _warm_up(self) -> None:
         """Run once, so that the first frame costs no more than later ones."""
@@ -76,14 +81,18 @@ def _read(path: Path) -> tuple[Any, ModelSpec]:
     )
 
 
-def _compile(path: Path, model: Any, threads: int | None) -> Any:
+def _search(request: Any, crop: Image, kernels: Kernels) -> tuple[Float32Array, Float32Array]:
+    feed = {"crop": crop[None], "cls_kernel": kernels[0], "reg_kernel": kernels[1]}
+    found = request.infer(feed, share_inputs=True)
+    return found["scores"][0], found["boxes"][0]
+
+
+def _compile(path: Path, model: Any, threads: int, lanes: int = 1) -> list[Any]:
+    """Requests that may run at once, as many as lanes, on threads of their own."""
     # Left to itself OpenVINO computes float layers in bfloat16 where the processor can.
-    config = {
-        "INFERENCE_PRECISION_HINT": "f32",
-        "PERFORMANCE_HINT": "LATENCY",
-        "INFERENCE_NUM_THREADS": threads or usable_cores(),
-    }
+    config = {"INFERENCE_PRECISION_HINT": "f32", "INFERENCE_NUM_THREADS": threads, "NUM_STREAMS": lanes}
     try:
-        return core().compile_model(model, "CPU", config).create_infer_request()
+        compiled = core().compile_model(model, "CPU", config)
+        return [compiled.create_infer_request() for _ in range(lanes)]
     except RuntimeError as error:
         raise damaged(path, RuntimeError(str(error).strip().splitlines()[-1])) from None

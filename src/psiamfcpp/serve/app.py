@@ -36,7 +36,8 @@ _ABOUT = """
 Follow targets in a live video. Start one with `POST /api/targets`, watch it on the WebSocket `/api/live`.
 
 **WebSocket `/api/live`** (`?client=NAME` names the client; a name that comes back within 15 seconds keeps control).
-The server sends JSON: `{"type": "state", ...}` for every frame that the client has time for, with the fields of
+The server sends JSON: `{"type": "state", ...}` for every frame that the client has time for (it is told of the next
+when it has read all but the last few messages, so answer pings, as every library does), with the fields of
 `GET /api/state`, and `events` (new ones), `latency_ms` (from reading this frame to sending its box; null when the frame
 was told before) and `jpeg` (whether a binary message with the picture of this very frame follows).
 The client sends JSON:
@@ -106,6 +107,11 @@ def build_app(control: Control, *, token: str | None = None, fov: float | None =
     _add_page(app, guarded)
     _add_commands(app, room)
     _add_views(app, room, Pictures(annotated, executor))
+    if token is not None:
+        # what the guard asks for, said where generated clients look for it
+        described = app.openapi()
+        described["components"]["securitySchemes"] = {"token": {"type": "http", "scheme": "bearer"}}
+        described["security"] = [{"token": []}]
     return guarded
 
 

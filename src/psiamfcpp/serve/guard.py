@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import hashlib
 import hmac
 import ipaddress
@@ -15,6 +16,7 @@ from psiamfcpp.errors import UserError
 
 COOKIE = "psiamfcpp_token"
 MAX_BODY = 16 * 1024
+_BODY_S = 10.0
 SHORTEST_TOKEN = 12
 # What must be had before a token can be given.
 _OPEN_PATHS = {"/", "/page.css", "/page.js", "/api/login"}
@@ -57,7 +59,7 @@ class Guard:
         headers = {name.lower(): value.decode("latin-1") for name, value in scope["headers"]}
         refusal = self._refusal(scope, headers)
         if refusal is None:
-            await self._app(scope, _limited(receive, send) if scope["type"] == "http" else receive, send)
+            await self._app(scope, _limited(receive) if scope["type"] == "http" else receive, send)
         elif scope["type"] == "http":
             await _answer(send, "http.response", *refusal)
         else:
@@ -75,8 +77,9 @@ class Guard:
         if self._token is None and not is_loopback(_hostname(host)):
             return 403, "this server answers to this machine's own names only"
         origin = headers.get(b"origin")
-        changes = scope["type"] == "websocket" or scope["method"] not in ("GET", "HEAD")
-        if changes and origin is not None and _netloc(origin) != host.lower():
+        # Pictures and the like are asked for without an origin, but browsers say from where. A link may lead here.
+        site = "none" if scope["path"] == "/" else headers.get(b"sec-fetch-site", "none")
+        if (origin is not None and _netloc(origin) != host.lower()) or site not in ("none", "same-origin"):
             return 403, "requests from other sites' pages are refused"
         length = headers.get(b"content-length", "0")
         if not length.isdecimal() or int(length) > MAX_BODY:
@@ -113,17 +116,20 @@ def _token(headers: dict[bytes, str]) -> str:
     return morsel.value if morsel else ""
 
 
-def _limited(receive: Receive, send: Send) -> Receive:
-    """The same body, cut off where it is longer than it said or than is allowed."""
-    size = 0
+def _limited(receive: Receive) -> Receive:
+    """The same body, cut off where it is longer than is allowed, or does not come."""
+    size, whole = 0, False
 
     async def take() -> Message:
-        nonlocal size
-        message = await receive()
-        size += len(message.get("body", b""))
-        if size > MAX_BODY:
+        nonlocal size, whole
+        try:
+            # once it is there, the next message is that the client left
+            message = await asyncio.wait_for(receive(), None if whole else _BODY_S)
+        except asyncio.TimeoutError:
             return {"type": "http.disconnect"}
-        return message
+        whole = not message.get("more_body", False)
+        size += len(message.get("body", b""))
+        return {"type": "http.disconnect"} if size > MAX_BODY else message
 
     return take
 

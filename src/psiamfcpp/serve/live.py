@@ -19,6 +19,7 @@ from pydantic import ValidationError
 from psiamfcpp.errors import UserError
 from psiamfcpp.serve import messages
 from psiamfcpp.serve.control import Bucket, Control
+from psiamfcpp.serve.pace import caught_up
 from psiamfcpp.serve.pictures import Pictures
 from psiamfcpp.serve.status import status
 
@@ -121,7 +122,9 @@ class Client:
         room, follower = self._room, self._room.control.follower
         told = pictured = events = 0
         last = None
+        ready = caught_up(self._socket)
         while not room.bell.closed:
+            await asyncio.wait_for(ready(), _SEND_S)
             shot = follower.newest
             room.control.lease.keep(self._name)
             state = {"type": "state", **room.state(self._name), "latency_ms": None, "jpeg": False}
@@ -158,7 +161,7 @@ class Client:
             try:
                 parsed = messages.MESSAGE.validate_json(text if text is not None else b"")
             except ValidationError as error:
-                if not await self._refuse(one_line(error)):
+                if not await self._refuse(one_line(error), request_of(text)):
                     return
                 continue
             if isinstance(parsed, messages.FrameWish):
@@ -222,6 +225,15 @@ async def start(room: Room, client: str, body: messages.StartBody) -> tuple[int,
         return await room.run(room.control.start, client, body.box)
     assert body.point is not None
     return await room.run(room.control.start_at, client, *body.point)
+
+
+def request_of(text: str | None) -> int | None:
+    """The number by which a client tells its messages apart, of one that is wrong otherwise."""
+    try:
+        found = json.loads(text or "")["request"]
+    except (ValueError, TypeError, KeyError, RecursionError):
+        return None
+    return found if isinstance(found, int) and not isinstance(found, bool) else None
 
 
 def one_line(error: ValidationError) -> str:

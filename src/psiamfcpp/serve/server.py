@@ -8,14 +8,18 @@ import socket
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from typing import Any
 
 import uvicorn
-import websockets  # noqa: F401 - without it the server would refuse every WebSocket, silently
 
 from psiamfcpp.errors import UserError
 from psiamfcpp.serve.follower import Follower
 from psiamfcpp.serve.guard import Guard
+from psiamfcpp.serve.pace import PacedProtocol
 
+# One that asks nothing for so long, or takes nothing, must not keep others out.
+_SILENT_S = 5
+_TAKES_NOTHING_MS = 20_000
 # What the system may hold back for a client that reads slowly: some pictures, not seconds of them.
 _SEND_BUFFER = 256 * 1024
 
@@ -35,6 +39,8 @@ def bind(host: str, port: int) -> socket.socket:
         try:
             listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             listener.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER)
+            if hasattr(socket, "TCP_USER_TIMEOUT"):  # not everywhere
+                listener.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, _TAKES_NOTHING_MS)
             listener.bind(address)
         except BaseException:
             listener.close()
@@ -54,13 +60,16 @@ def make_server(app: Guard, ready: Callable[[], None] = lambda: None) -> uvicorn
         server_header=False,
         proxy_headers=False,
         lifespan="on",
+        ws=PacedProtocol,
         ws_max_size=4096,
         ws_max_queue=8,
-        ws_ping_interval=5.0,
-        ws_ping_timeout=10.0,
+        # behind the pictures that a slow link has still to carry, an answer takes its time
+        ws_ping_interval=10.0,
+        ws_ping_timeout=30.0,
         ws_per_message_deflate=False,  # pictures are compressed already
         limit_concurrency=64,
-        timeout_keep_alive=5,
+        timeout_keep_alive=_SILENT_S,
+        timeout_notify=_SILENT_S,
         timeout_graceful_shutdown=2,
     )
     # uvicorn takes a WebSocket that was refused for a fault, and would fill the log for whoever knocks
@@ -98,8 +107,22 @@ def run(server: uvicorn.Server, listener: socket.socket, follower: Follower) -> 
 
 class _Server(uvicorn.Server):
     def __init__(self, config: uvicorn.Config, ready: Callable[[], None]):
+        config.callback_notify = self._hang_up
         super().__init__(config)
         self._ready = ready
+        self._silent: dict[Any, Any] = {}
+
+    async def _hang_up(self) -> None:
+        """Close connections that asked for nothing new since the last call; uvicorn waits for ever for a request."""
+        silent = {}
+        for connection in self.server_state.connections:
+            cycle = getattr(connection, "cycle", connection)  # WebSockets have none, and pings of their own
+            if cycle is None or getattr(cycle, "response_complete", False):
+                silent[connection] = cycle
+        for connection, cycle in silent.items():
+            if self._silent.get(connection, connection) is cycle:
+                connection.transport.close()
+        self._silent = silent
 
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
         await super().startup(sockets)

@@ -1,4 +1,4 @@
-"""Several targets on one engine: one batched search a frame, and a state each."""
+"""Several targets on one engine: one call of the engine a frame, and a state each."""
 
 from __future__ import annotations
 
@@ -12,14 +12,7 @@ from psiamfcpp.zoo import DEFAULT_MODEL
 
 
 class TargetPool:
-    """Follows any number of targets, each as a `Tracker` of its own would.
-
-    Args:
-        model: name of a shipped model, or a model file.
-        engine: what runs the network; by default the fastest there is.
-        threads: threads of the engine; by default all cores.
-        search_size: side of the search crop in pixels; by default the model's own.
-        plain: the published procedure, without states.
+    """Follows any number of targets, each as a `Tracker` of its own would. Takes what `Tracker` takes.
 
     Raises:
         UserError: unknown model, engine or size.

@@ -42,6 +42,11 @@ async function lose() {
   socket = null;
   banner("No connection to the server: trying again\u2026");
   chip(byId("link"), "no connection", "bad");
+  // what is not known must not look as if it were, and what cannot be done not as if it could
+  for (const id of ["fps", "latency", "tracker", "clients"]) byId(id).textContent = "\u2013";
+  for (const id of ["role", "rec", "hint"]) byId(id).hidden = true;
+  for (const button of document.querySelectorAll("aside button")) button.disabled = true;
+  drag = null;
   draw();
   try {
     // a browser does not tell why a WebSocket was refused
@@ -244,7 +249,7 @@ function toFrame(event) {
 }
 
 canvas.addEventListener("pointerdown", (event) => {
-  if (!bitmap || !event.isPrimary || event.button !== 0 || (state && state.operator === "other")) return;
+  if (!socket || !bitmap || !event.isPrimary || event.button !== 0 || (state && state.operator === "other")) return;
   canvas.setPointerCapture(event.pointerId);
   const [x, y] = toFrame(event);
   drag = { x0: x, y0: y, x1: x, y1: y, far: 0, left: event.clientX, top: event.clientY };
