@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import socket
 import threading
 import time
 from collections.abc import Callable, Iterator
 from typing import Any
 
+import httpx
 import numpy as np
 import pytest
+from websockets.sync.client import ClientConnection, connect
 
 from psiamfcpp.errors import UserError
-from psiamfcpp.geometry import Box, Image
+from psiamfcpp.geometry import Box, Image, centre_error
 from psiamfcpp.serve.app import build_app
 from psiamfcpp.serve.control import Control
 from psiamfcpp.serve.follower import Follower
@@ -23,6 +26,7 @@ from psiamfcpp.video.source import Source
 
 WIDTH, HEIGHT = 640, 480
 BLOB: Box = (100.0, 80.0, 40.0, 30.0)
+TOKEN = "correct horse battery"
 
 
 def until(condition: Callable[[], Any], seconds: float = 30.0) -> Any:
@@ -120,3 +124,40 @@ def free_port() -> int:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         probe.bind(("127.0.0.1", 0))
         return int(probe.getsockname()[1])
+
+
+@pytest.fixture
+def http(address: str) -> Iterator[httpx.Client]:
+    with httpx.Client(base_url=f"http://{address}", timeout=30) as client:
+        yield client
+
+
+def live(address: str, **options: Any) -> ClientConnection:
+    """A connection that is closed by a ``with`` block, or by hand."""
+    return connect(f"ws://{address}/api/live", max_size=None, **options).__enter__()
+
+
+def state(socket: ClientConnection) -> dict[str, Any]:
+    """The next state that the server tells."""
+    while True:
+        message = socket.recv(timeout=30)
+        if isinstance(message, str) and (data := json.loads(message))["type"] == "state":
+            return dict(data)
+
+
+def ask(socket: ClientConnection, **message: Any) -> dict[str, Any]:
+    """The reply to a message."""
+    socket.send(json.dumps({**message, "request": 7}))
+    while True:
+        answer = socket.recv(timeout=30)
+        if isinstance(answer, str) and (data := json.loads(answer))["type"] == "reply":
+            return dict(data)
+
+
+def unharmed(follower: Follower) -> None:
+    """The target is followed, in frames that came after now."""
+    assert follower.newest is not None
+    before = follower.newest.number
+    until(lambda: follower.newest and follower.newest.number > before + 2)
+    assert follower.newest.tracks[1].state == "tracking"
+    assert centre_error(follower.newest.tracks[1].box, BLOB) < 1

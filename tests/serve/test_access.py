@@ -1,0 +1,118 @@
+"""Whom the server obeys: one operator, those with the token, pages of its own."""
+
+from __future__ import annotations
+
+import time
+
+import httpx
+import pytest
+from websockets.exceptions import InvalidStatus
+from websockets.sync.client import connect
+
+from psiamfcpp.serve.control import Control
+from psiamfcpp.serve.follower import Follower
+
+from .conftest import BLOB, TOKEN, ask, live, served, state, until
+
+
+def test_one_operates_and_others_watch(address: str, http: httpx.Client, follower: Follower) -> None:
+    with live(address) as first, live(address) as second:
+        assert ask(first, type="start", box=BLOB)["ok"]
+        refused = ask(second, type="stop")
+        assert refused == {
+            "type": "reply",
+            "request": 7,
+            "ok": False,
+            "error": "another client is in control: wait until it hands over or leaves",
+        }
+        until(lambda: state(second)["operator"] == "other" and state(second)["targets"])
+        assert http.delete("/api/targets").status_code == 409
+        assert ask(first, type="operator", take=False)["ok"]
+        assert ask(second, type="stop")["ok"]
+    assert http.post("/api/operator", headers={"X-Client": "me"}).status_code == 409
+
+
+def test_an_operator_that_comes_back_is_still_one(address: str) -> None:
+    with connect(f"ws://{address}/api/live?client=pilot") as socket:
+        assert ask(socket, type="operator", take=True)["ok"]
+    with connect(f"ws://{address}/api/live?client=pilot") as socket:
+        assert state(socket)["operator"] == "you"
+
+
+def test_control_is_free_once_its_holder_is_silent(control: Control, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("psiamfcpp.serve.control.LEASE_S", 0.05)
+    control.take("a")
+    time.sleep(0.1)
+    control.take("b")
+    assert control.lease.holder == "b"
+
+
+@pytest.mark.parametrize("given", [None, "wrong", TOKEN[:-1], TOKEN + "x", "ü" * 20])
+def test_a_wrong_token_opens_nothing(control: Control, given: str | None) -> None:
+    headers = {} if given is None else {"Authorization": f"Bearer {given}".encode()}
+    with served(control, token=TOKEN) as address:
+        with httpx.Client(base_url=f"http://{address}", headers=headers) as http:
+            for method, path in (("GET", "/api/state"), ("POST", "/api/targets"), ("GET", "/openapi.json")):
+                answer = http.request(method, path)
+                assert (answer.status_code, list(answer.json())) == (401, ["error"])
+            assert http.post("/api/login", json={"token": given or ""}).status_code == 401
+            assert http.get("/").status_code == 200
+        with pytest.raises(InvalidStatus) as refusal:
+            live(address, additional_headers={} if given is None else {"Cookie": "psiamfcpp_token=wrong"})
+        assert refusal.value.response.status_code == 401
+
+
+def test_the_token_opens_everything(control: Control) -> None:
+    with served(control, token=TOKEN) as address:
+        with httpx.Client(base_url=f"http://{address}") as http:
+            known = {"Authorization": f"Bearer {TOKEN}"}
+            assert http.get("/api/state", headers=known).status_code == 200
+            described = http.get("/openapi.json", headers=known).json()
+            (name,) = described["security"][0]
+            assert described["components"]["securitySchemes"][name] == {"type": "http", "scheme": "bearer"}
+            login = http.post("/api/login", json={"token": TOKEN})
+            cookie = login.headers["set-cookie"]
+            assert "HttpOnly" in cookie
+            assert "samesite=strict" in cookie.lower()
+            assert http.get("/api/state").status_code == 200
+            # with a token, any name may lead here
+            assert http.get("/api/state", headers={"Host": "drone.local"}).status_code == 200
+        with live(address, additional_headers={"Cookie": cookie.split(";")[0]}) as socket:
+            assert state(socket)["frame"] > 0
+        with live(address, additional_headers={"Authorization": f"Bearer {TOKEN}"}) as socket:
+            assert ask(socket, type="start", box=BLOB)["ok"]
+
+
+@pytest.mark.parametrize("origin", ["http://evil.example", "null", "https://127.0.0.1:1", "http://["])
+def test_foreign_origins_are_refused(address: str, http: httpx.Client, origin: str, follower: Follower) -> None:
+    answer = http.post("/api/targets", json={"box": BLOB}, headers={"Origin": origin})
+    assert (answer.status_code, answer.json()) == (403, {"error": "requests from other sites' pages are refused"})
+    with pytest.raises(InvalidStatus) as refusal:
+        live(address, origin=origin)
+    assert refusal.value.response.status_code == 403
+    assert follower.newest is not None
+    assert not follower.newest.tracks
+
+
+@pytest.mark.parametrize(
+    "headers", [{"Origin": "http://evil.example"}, {"Sec-Fetch-Site": "cross-site"}, {"Sec-Fetch-Site": "same-site"}]
+)
+def test_other_sites_pages_cannot_even_watch(http: httpx.Client, headers: dict[str, str]) -> None:
+    for path in ("/api/state", "/api/frame.jpg", "/api/stream.mjpg", "/page.js"):
+        assert http.get(path, headers=headers).status_code == 403
+    assert http.get("/api/state", headers={"Sec-Fetch-Site": "same-origin"}).status_code == 200
+    # a link to the page is no harm
+    assert http.get("/", headers={"Sec-Fetch-Site": "cross-site"}).status_code == 200
+
+
+def test_the_own_origin_is_welcome(address: str) -> None:
+    with live(address, origin=f"http://{address}") as socket:
+        assert state(socket)["frame"] > 0
+
+
+def test_foreign_names_for_this_machine_are_refused(http: httpx.Client) -> None:
+    answer = http.get("/api/state", headers={"Host": "evil.example"})
+    assert (answer.status_code, answer.json()) == (
+        403,
+        {"error": "this server answers to this machine's own names only"},
+    )

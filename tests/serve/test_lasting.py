@@ -1,0 +1,138 @@
+"""How the server lasts: clients that are silent, slow, many, or still there at its end."""
+
+from __future__ import annotations
+
+import json
+import socket
+import threading
+import time
+
+import httpx
+import numpy as np
+import pytest
+from websockets.exceptions import ConnectionClosed
+
+from psiamfcpp.serve.control import Control
+from psiamfcpp.serve.follower import Follower
+
+from .conftest import HEIGHT, WIDTH, Stream, live, served, state, until
+
+
+def test_those_who_connect_and_say_nothing_keep_nobody_out(control: Control, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("psiamfcpp.serve.server._SILENT_S", 1)
+    with served(control) as address:
+        host, port = address.split(":")
+        begun = b"GET /api/state HTTP/1.1\r\nHost: 127.0.0.1\r\n"
+        sockets = [socket.create_connection((host, int(port))) for _ in range(70)]
+        with httpx.Client(base_url=f"http://{address}", timeout=30) as http:
+            http.get("/api/state")
+            for number, silent in enumerate(sockets):
+                silent.settimeout(30)
+                # some begin a request, some have had one answered and begin the next
+                silent.sendall([b"", begun, begun + b"\r\n" + begun][number % 3])
+            for silent in sockets:
+                while silent.recv(4096):
+                    pass
+                silent.close()
+            assert http.get("/api/state").status_code == 200
+
+
+def test_a_body_that_does_not_come_is_not_waited_for(address: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("psiamfcpp.serve.guard._BODY_S", 0.2)
+    host, port = address.split(":")
+    with socket.create_connection((host, int(port)), timeout=30) as slow:
+        slow.sendall(b"POST /api/targets HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Length: 30\r\n\r\n{")
+        assert slow.recv(4096).startswith(b"HTTP/1.1 4")
+
+
+def test_a_client_that_reads_slowly_reads_what_is_new(address: str, stream: Stream, follower: Follower) -> None:
+    stream.fps = 100
+    with live(address, max_queue=1) as slow:
+        for _ in range(40):
+            time.sleep(0.05)
+            told = state(slow)
+            assert follower.newest is not None
+            # five frames go by between two looks: were they kept for it, it would be 160 behind at the end
+            assert told["frame"] > follower.newest.number - 100
+        slow.close_timeout = 0.1
+
+
+def test_clients_that_read_nothing_delay_nobody(address: str, stream: Stream) -> None:
+    rng = np.random.default_rng(0)
+    noise = rng.integers(0, 255, (HEIGHT, WIDTH, 3), dtype=np.uint8)
+    stream._draw = lambda *_, **__: noise.copy()  # large pictures
+    slow = [live(address, max_queue=1) for _ in range(4)]
+    try:
+        for socket in slow:
+            for _ in range(200):
+                socket.send(json.dumps({"type": "frame"}))
+        time.sleep(1)
+        with live(address) as quick:
+            first = state(quick)["frame"]
+            start = time.monotonic()
+            told = until(lambda: (s := state(quick))["frame"] >= first + 30 and s)
+            # at 50 frames a second it is 0.6 s; clients that delayed it would do so for seconds each
+            assert time.monotonic() - start < 15
+            assert told["clients"] == 5
+    finally:
+        for socket in slow:
+            socket.close_timeout = 0.1
+            socket.close()
+
+
+def test_connects_and_disconnects_leave_nothing(address: str, http: httpx.Client) -> None:
+    def once(number: int) -> None:
+        socket = live(address)
+        socket.send(json.dumps({"type": "frame"}))
+        socket.recv(timeout=30)
+        if number % 2:
+            socket.socket.shutdown(2)  # without a word
+        else:
+            socket.close()
+
+    once(0)
+    until(lambda: http.get("/api/state").json()["clients"] == 0)
+    before = {thread.name for thread in threading.enumerate() if "recv_events" not in thread.name}
+    for number in range(12):
+        once(number)
+    until(lambda: http.get("/api/state").json()["clients"] == 0)
+    until(
+        lambda: (
+            {
+                thread.name
+                for thread in threading.enumerate()
+                if thread.name not in before
+                and "recv_events" not in thread.name
+                and not thread.name.startswith("serve_")
+            }
+            == set()
+        )
+    )
+
+
+def test_it_ends_while_clients_are_there(control: Control) -> None:
+    with served(control) as address:
+        socket = live(address)
+        state(socket)
+        stop = threading.Event()
+
+        def watch() -> None:
+            with httpx.stream("GET", f"http://{address}/api/stream.mjpg", timeout=30) as answer:
+                try:
+                    for _ in answer.iter_raw():
+                        if stop.is_set():
+                            return
+                except httpx.HTTPError:
+                    return
+
+        watcher = threading.Thread(target=watch)
+        watcher.start()
+        until(lambda: state(socket)["clients"] == 2)
+        start = time.monotonic()
+    assert time.monotonic() - start < 20
+    stop.set()
+    watcher.join(30)
+    assert not watcher.is_alive()
+    with pytest.raises((ConnectionClosed, OSError)):
+        while True:
+            socket.recv(timeout=30)

@@ -1,0 +1,174 @@
+"""What the API refuses, in one line each, while the target is followed on."""
+
+from __future__ import annotations
+
+import json
+
+import httpx
+import pytest
+from websockets.exceptions import ConnectionClosed, InvalidStatus
+
+from psiamfcpp.serve.follower import Follower
+from psiamfcpp.serve.live import MAX_CLIENTS
+
+from .conftest import BLOB, ask, live, state, unharmed, until
+
+
+@pytest.mark.parametrize(
+    "body",
+    [
+        b'{"box": [NaN, 1, 2, 3]}',
+        b'{"box": [1, 1, Infinity, 3]}',
+        b'{"box": [1, 2, 3]}',
+        b'{"box": "1,2,3,4"}',
+        b'{"box": [9000, 1, 20, 20]}',
+        b'{"box": [1e99, 1, 20, 20]}',
+        b'{"box": [10, 10, 0, 20]}',
+        b'{"box": [10, 10, 20, 20], "point": [1, 1]}',
+        b'{"box": [10, 10, 20, 20], "speed": 3}',
+        b'{"point": [-5, 10]}',
+        b'{"point": [NaN, 10]}',
+        b"{}",
+        b"[]",
+        b"null",
+        b"{",
+        b"\xff\xfe",
+        b"[" * 10000,
+    ],
+)
+def test_wrong_bodies_are_refused_in_one_line(http: httpx.Client, follower: Follower, body: bytes) -> None:
+    assert http.post("/api/targets", json={"box": BLOB}).status_code == 201
+    answer = http.post("/api/targets", content=body, headers={"Content-Type": "application/json"})
+    assert answer.status_code in (400, 422)
+    error = answer.json()["error"]
+    assert error
+    assert "\n" not in error
+    assert len(error) < 300
+    unharmed(follower)
+    assert follower.newest is not None
+    assert list(follower.newest.tracks) == [1]
+
+
+@pytest.mark.parametrize("path", ["/api/targets/0", "/api/targets/x", "/api/targets/99", "/api/targets/1e3"])
+def test_targets_that_are_none_cannot_be_stopped(http: httpx.Client, path: str) -> None:
+    answer = http.delete(path)
+    assert (answer.status_code, list(answer.json())) == (422, ["error"])
+
+
+def test_oversized_bodies_are_refused(http: httpx.Client, follower: Follower) -> None:
+    http.post("/api/targets", json={"box": BLOB})
+    large = b" " * 200_000
+    answer = http.post("/api/targets", content=large)
+    assert (answer.status_code, answer.json()) == (413, {"error": "a request may hold 16384 bytes"})
+    # and where the size is not said
+    assert http.post("/api/targets", content=iter([large[:9000]] * 20)).status_code in (400, 413)
+    unharmed(follower)
+
+
+@pytest.mark.parametrize(
+    "message",
+    [
+        "",
+        "null",
+        "{",
+        "[]",
+        '{"type": "fly"}',
+        '{"type": "start", "box": [NaN, 1, 2, 3]}',
+        '{"type": "start", "box": [1, 2, 3]}',
+        '{"type": "start"}',
+        '{"type": "start", "box": [9000, 1, 20, 20]}',
+        '{"type": "stop", "id": 1e40}',
+        '{"type": "stop", "id": 77}',
+        '{"type": "record", "on": true}',
+        b"\x00\xff binary",
+        "\x00",
+    ],
+)
+def test_wrong_messages_are_refused_in_one_line(address: str, follower: Follower, message: str | bytes) -> None:
+    with live(address) as socket:
+        assert ask(socket, type="start", box=BLOB)["ok"]
+        socket.send(message)
+        reply = ask(socket, type="select", id=1)
+        # the refusal came first
+        assert not reply["ok"]
+        assert "\n" not in reply["error"]
+        unharmed(follower)
+
+
+def test_a_refusal_names_its_request(address: str) -> None:
+    with live(address) as socket:
+        for message, number in (
+            ('{"type": "start", "box": [NaN, 1, 2, 3], "request": 41}', 41),
+            ('{"type": "fly", "request": 42}', 42),
+            ('{"type": "fly", "request": "43"}', None),
+            ("[" * 4000, None),
+            ('{"type": "start", "box": [9000, 1, 20, 20], "request": 44}', 44),
+        ):
+            socket.send(message)
+            while (reply := json.loads(socket.recv(timeout=30)))["type"] != "reply":
+                pass
+            assert (reply["ok"], reply["request"]) == (False, number)
+
+
+def test_a_client_that_only_makes_mistakes_is_sent_away(address: str, follower: Follower) -> None:
+    follower.add(BLOB)
+    with live(address) as socket, pytest.raises(ConnectionClosed) as end:
+        for _ in range(1000):
+            socket.send("nonsense")
+        while True:
+            socket.recv(timeout=30)
+    assert end.value.rcvd is not None
+    assert end.value.rcvd.code == 1008
+    unharmed(follower)
+
+
+def test_an_oversized_message_ends_its_connection_alone(address: str, follower: Follower) -> None:
+    follower.add(BLOB)
+    with live(address) as other:
+        with live(address) as socket, pytest.raises(ConnectionClosed) as end:
+            socket.send("x" * 100_000)
+            while True:
+                socket.recv(timeout=30)
+        assert end.value.rcvd is not None
+        assert end.value.rcvd.code == 1009
+        assert state(other)["frame"] > 0
+    unharmed(follower)
+
+
+def test_a_thousand_starts_are_mostly_refused(address: str, follower: Follower) -> None:
+    follower.add(BLOB)
+    with live(address) as socket:
+        codes: list[bool] = []
+        for number in range(1000):
+            socket.send(json.dumps({"type": "start", "box": [10, 10, 0.5, 0.5], "request": number}))
+        try:
+            while len(codes) < 1000:
+                data = json.loads(socket.recv(timeout=30))
+                if data["type"] == "reply":
+                    codes.append(data["ok"])
+                    assert "too many" in data["error"] or "holds no pixel" in data["error"]
+        except ConnectionClosed as end:
+            assert end.rcvd is not None and end.rcvd.code == 1008
+        assert not any(codes)
+    unharmed(follower)
+
+
+def test_starts_over_rest_are_limited_too(http: httpx.Client) -> None:
+    codes = [http.put("/api/selected", json={"id": 3}).status_code for _ in range(60)]
+    assert set(codes) == {422, 429}
+    assert codes.count(429) > 20
+
+
+def test_there_is_room_for_some_clients_only(address: str, http: httpx.Client) -> None:
+    sockets = [live(address) for _ in range(MAX_CLIENTS)]
+    try:
+        with pytest.raises(InvalidStatus) as refusal:
+            live(address)
+        assert refusal.value.response.status_code == 503
+        assert http.get("/api/stream.mjpg").status_code == 503
+    finally:
+        for socket in sockets:
+            socket.close()
+    until(lambda: http.get("/api/state").json()["clients"] == 0)
+    with live(address) as socket:
+        assert state(socket)["clients"] == 1
