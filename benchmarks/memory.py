@@ -43,7 +43,7 @@ def main() -> None:
             seen.append(resident())
             print(f"{number:6} frames  {seen[-1]:.1f} MB", flush=True)
     status = Path("/proc/self/status").read_text()
-    peak = int(next(line for line in status.splitlines() if line.startswith("VmHWM")).split()[1]) / 1e3
+    peak = int(next(line for line in status.splitlines() if line.startswith("VmHWM")).split()[1]) * 1024 / 1e6
     frames = sum(shot.image.nbytes for shot in shots) / 1e6
     print(f"peak {peak:.0f} MB; before a model was loaded {before:.0f} MB, with the {frames:.0f} MB of the clip")
     print(f"growth from the second to the last tenth: {seen[-1] - seen[1]:+.1f} MB")
