@@ -21,10 +21,10 @@ from psiamfcpp.runtime import open_engine
 from psiamfcpp.runtime.graph_file import graph_files
 from psiamfcpp.runtime.onnx_engine import open_session
 from psiamfcpp.spec import score_size
-from psiamfcpp.zoo import graph_folder
+from psiamfcpp.zoo import DEFAULT_MODEL, graph_folder
 
 
-def main(model: str = "siamfcpp-alexnet-int8", threads: int = 1, targets: int = 4, rounds: int = 20) -> None:
+def main(model: str = DEFAULT_MODEL, threads: int = 1, targets: int = 4, rounds: int = 20) -> None:
     """Measure and print.
 
     Args:

@@ -39,9 +39,9 @@ def main(
         threads: threads of the engine; by default all cores.
         search_size: side of the search crop in pixels.
     """
-    options = (model, engine, threads, search_size)
     shots = list(islice(render(0), frames))
     first, box = shots[0].image, shots[0].box
+    options = (model, engine, threads, search_size)
     one, pool = TargetPool(*options), TargetPool(*options)
     one.add(first, box)
     # the same box: what is measured does not depend on what is seen

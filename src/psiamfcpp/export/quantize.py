@@ -19,8 +19,8 @@ from psiamfcpp.spec import ModelSpec
 def measure(spec: ModelSpec, layers: Mapping[str, Layer], pairs: list[Pair]) -> Ranges:
     """Ranges of the inputs of all layers of the search graph: the lowest and the highest value that any crop gives.
 
-    Nothing is cut off for finer steps: cutting where the squared error of the map is least was tried, and doubled the
-    largest error of the scores, since the few highest values are those of the target.
+    Nothing is cut off for finer steps: cutting where the squared error of the map is least was tried, and made the
+    largest error of the scores larger.
 
     Args:
         spec: the model's.
@@ -34,15 +34,12 @@ def measure(spec: ModelSpec, layers: Mapping[str, Layer], pairs: list[Pair]) -> 
     search = open_session(graph.SerializeToString(), None, spec.search_size)
     template = open_session(template_graph(spec, layers, Ranges()).SerializeToString(), None)
 
-    def maps(pair: Pair) -> dict[str, NDArray[np.float32]]:
-        cls, reg = template.run(None, {"crop": pair.template[None]})
-        feed = {"crop": pair.search[None], "cls_kernel": cls, "reg_kernel": reg}
-        return dict(zip(tensors, search.run(tensors, feed), strict=True))
-
     low, high = dict.fromkeys(tensors, 0.0), dict.fromkeys(tensors, 0.0)
     peaks: NDArray[np.float32] = np.zeros(1, np.float32)
     for pair in pairs:
-        for tensor, values in maps(pair).items():
+        cls, reg = template.run(None, {"crop": pair.template[None]})
+        feed = {"crop": pair.search[None], "cls_kernel": cls, "reg_kernel": reg}
+        for tensor, values in zip(tensors, search.run(tensors, feed), strict=True):
             low[tensor] = min(low[tensor], float(values.min()))
             high[tensor] = max(high[tensor], float(values.max()))
             if tensor == "neck.search":
