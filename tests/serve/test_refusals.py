@@ -122,15 +122,16 @@ def test_a_client_that_only_makes_mistakes_is_sent_away(address: str, follower: 
     unharmed(follower)
 
 
-def test_an_oversized_message_ends_its_connection_alone(address: str, follower: Follower) -> None:
+@pytest.mark.parametrize("size", [5_000, 100_000])
+def test_an_oversized_message_ends_its_connection_alone(address: str, follower: Follower, size: int) -> None:
     follower.add(BLOB)
     with live(address) as other:
         with live(address) as socket, pytest.raises(ConnectionClosed) as end:
-            socket.send("x" * 100_000)
+            socket.send("x" * size)
             while True:
                 socket.recv(timeout=30)
-        assert end.value.rcvd is not None
-        assert end.value.rcvd.code == 1009
+        # a client that is cut off while it still sends may not come to read the reason
+        assert (end.value.rcvd and end.value.rcvd.code) in ((1009,) if size < 10_000 else (1009, None))
         assert state(other)["frame"] > 0
     unharmed(follower)
 
