@@ -9,7 +9,7 @@ from tests.models.conftest import UNEVEN, randomize
 
 from psiamfcpp.export.crops import Pair, rendered, sample
 from psiamfcpp.export.graph import Ranges, search_graph, template_graph
-from psiamfcpp.export.layers import layers
+from psiamfcpp.export.layers import aligned, layers
 from psiamfcpp.export.quantize import losses, measure, without
 from psiamfcpp.models.network import SiamFCpp
 from psiamfcpp.runtime.onnx_engine import open_session
@@ -82,17 +82,22 @@ def test_half_precision_weights_lose_nothing_in_the_graph() -> None:
 def test_quantized_layers_run_on_integers_and_others_in_float(network: SiamFCpp, ranges: Ranges, tmp_path) -> None:
     import onnxruntime
 
+    def integer_layers(kept: Ranges) -> set[str]:
+        graph = search_graph(network.spec, layers(network), kept)
+        options = onnxruntime.SessionOptions()
+        options.log_severity_level = 3
+        options.optimized_model_filepath = str(tmp_path / "optimized.onnx")
+        onnxruntime.InferenceSession(graph.SerializeToString(), options, providers=["CPUExecutionProvider"])
+        nodes = onnx.load(tmp_path / "optimized.onnx").graph.node
+        assert {n.op_type for n in nodes} >= {"QLinearConv"}
+        return {n.name.removesuffix("_nhwc").split("_token")[0] for n in nodes if n.op_type == "QLinearConv"}
+
+    # An integer convolution has an integer output: the last ones, which feed the scores and boxes, stay float.
+    last = {"head.scores", "head.reg_offsets"}
+    assert integer_layers(ranges) == {*ranges.inputs, "correlation"} - last
+    # Nor does the correlation run on integers without its features, nor conv5 and head.cls3, which feed what is kept.
     kept = without(ranges, {"head.scores", "neck.search"})
-    assert kept.features is None
-    graph = search_graph(network.spec, layers(network), kept)
-    options = onnxruntime.SessionOptions()
-    options.log_severity_level = 3
-    options.optimized_model_filepath = str(tmp_path / "optimized.onnx")
-    onnxruntime.InferenceSession(graph.SerializeToString(), options, providers=["CPUExecutionProvider"])
-    ops = [node.op_type for node in onnx.load(tmp_path / "optimized.onnx").graph.node]
-    # Of fourteen, two were kept in float; so are conv5 and head.cls3, which feed them, and head.reg_offsets, which
-    # feeds the boxes: an integer convolution has an integer output.
-    assert ops.count("QLinearConv") == 9
+    assert integer_layers(kept) == set(ranges.inputs) - last - {"neck.search", "backbone.conv5", "head.cls3"}
 
 
 def test_eight_bits_stay_close(network: SiamFCpp, ranges: Ranges, pairs: list[Pair]) -> None:
@@ -100,6 +105,42 @@ def test_eight_bits_stay_close(network: SiamFCpp, ranges: Ranges, pairs: list[Pa
     assert 0 < np.abs(found[0] - expected[0]).max() < 0.1
     # the exponential makes much of little in random weights' widest boxes, so the median is asked
     assert 0 < np.median(np.abs(found[1] - expected[1])) < 1
+
+
+def test_kernels_far_from_those_of_the_calibration_keep_their_eight_bits(
+    network: SiamFCpp, ranges: Ranges, pairs: list[Pair]
+) -> None:
+    def maps(some: Ranges, kernels: list[np.ndarray]) -> np.ndarray:
+        graph = search_graph(network.spec, layers(network), some)
+        tensor = next(n.output[0] for n in graph.graph.node if n.name == "head.cls1.relu")
+        graph.graph.output.append(onnx.helper.make_tensor_value_info(tensor, onnx.TensorProto.FLOAT, None))
+        feed = {"crop": pairs[1].search[None], "cls_kernel": kernels[0], "reg_kernel": kernels[1]}
+        return open_session(graph.SerializeToString(), 1).run([tensor], feed)[0]
+
+    template = open_session(template_graph(network.spec, layers(network), Ranges()).SerializeToString(), 1)
+    kernels = [k / 4 for k in template.run(None, {"crop": pairs[1].template[None]})]
+    expected = maps(Ranges(), kernels)
+    # steps follow the kernels: at a quarter of their size only those of the maps are coarser against what they hold
+    assert np.abs(maps(ranges, kernels) - expected).mean() < 0.05 * np.abs(expected).mean()
+    # and a channel without any kernel gives nothing, not a division by zero
+    assert np.isfinite(maps(ranges, [np.zeros_like(k) for k in kernels])).all()
+
+
+def test_filling_up_widths_changes_nothing(network: SiamFCpp, pairs: list[Pair]) -> None:
+    ragged = layers(network)
+    even = aligned(ragged)
+    assert any(len(layer.bias) % 4 for layer in ragged.values())
+    inner = [name for name in even if not name.startswith(("neck.", "head.scores", "head.reg_offsets"))]
+    assert not any(len(even[name].bias) % 4 for name in inner)
+    template = open_session(template_graph(network.spec, ragged, Ranges()).SerializeToString(), 1)
+    cls, reg = template.run(None, {"crop": pairs[0].template[None]})
+    feed = {"crop": pairs[0].search[None], "cls_kernel": cls, "reg_kernel": reg}
+    expected, found = (
+        open_session(search_graph(network.spec, some, Ranges()).SerializeToString(), 1).run(None, feed)
+        for some in (ragged, even)
+    )
+    assert_allclose(found[0], expected[0], rtol=1e-5, atol=1e-6)
+    assert_allclose(found[1], expected[1], rtol=1e-4, atol=1e-3)
 
 
 def test_each_layer_is_judged_alone(network: SiamFCpp, ranges: Ranges, pairs: list[Pair]) -> None:

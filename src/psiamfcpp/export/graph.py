@@ -21,6 +21,8 @@ KERNEL = 4
 _OPSET = 17
 # IR version of the oldest onnxruntime that the package allows.
 _IR_VERSION = 8
+# Step and zero of 8 bits that hold -1 to 1.
+_EVEN = np.float32(1 / 127), 128
 # What the network clamps the logarithm of distances to, see `psiamfcpp.models.network.Head`.
 _MAX_LOG = 6.0
 
@@ -33,6 +35,8 @@ class Ranges:
     """lowest and highest input of each layer that is to be quantized; the other layers stay float"""
     features: NDArray[np.float32] | None = None
     """``(C,)``: largest magnitude of each channel of ``neck.search``, if that layer is among them"""
+    maps: NDArray[np.float32] | None = None
+    """``(C,)``: the same of what the correlation makes of these channels"""
 
 
 @dataclass
@@ -43,6 +47,8 @@ class _Graph:
     ranges: Ranges
     nodes: list[Any] = field(default_factory=list)
     constants: dict[str, Any] = field(default_factory=dict)
+    steps: dict[str, np.float32] = field(default_factory=dict)
+    """of tensors that come straight from 8 bits"""
 
     def add(self, op: str, *inputs: str, name: str = "", outputs: int = 1, **attributes: Any) -> Any:
         """Append a node; the name of its output, or a tuple of them."""
@@ -79,9 +85,11 @@ class _Graph:
 
     def _quantized(self, name: str, x: str, layer: Layer) -> tuple[str, str, str]:
         """Input, weight and bias of a layer as what is left after eight bits."""
-        low, high = (f(bound, 0.0) for f, bound in zip((min, max), self.ranges.inputs[name], strict=True))
-        scale = np.float32(max((high - low) / 255, 1e-8))
-        x = self.through_uint8(x, scale, round(-low / float(scale)))
+        if x not in self.steps:
+            low, high = (f(bound, 0.0) for f, bound in zip((min, max), self.ranges.inputs[name], strict=True))
+            step = np.float32(max((high - low) / 255, 1e-8))
+            zero = round(-low / float(step))
+            x = self.from_uint8(self.to_uint8(x, step, zero), step, zero)
         folded = layer.weight * layer.gain[:, None, None, None]
         steps = np.maximum(np.abs(folded).max(axis=(1, 2, 3)) / 127, 1e-12).astype(np.float32)
         rounded = np.rint(folded / steps[:, None, None, None]).astype(np.int8)
@@ -92,7 +100,7 @@ class _Graph:
             self.constant(np.zeros(len(steps), np.int8), f"{name}.weight_zero"),
             axis=0,
         )
-        bias_steps = (steps * scale).astype(np.float32)
+        bias_steps = (steps * self.steps[x]).astype(np.float32)
         limit = 2**31 - 1
         bias = self.add(
             "DequantizeLinear",
@@ -103,12 +111,17 @@ class _Graph:
         )
         return x, weight, bias
 
-    def through_uint8(self, x: str, scale: np.float32, zero: int) -> str:
-        """What is left of a tensor after eight bits."""
-        steps = self.constant(scale), self.constant(np.uint8(zero))
+    def to_uint8(self, x: str, step: np.float32, zero: int) -> str:
+        """A tensor in eight bits; pixels are that already."""
         if x == "pixels":
-            return self.add("DequantizeLinear", x, *steps)
-        return self.add("DequantizeLinear", self.add("QuantizeLinear", x, *steps), *steps)
+            return x
+        return self.add("QuantizeLinear", x, self.constant(step), self.constant(np.uint8(zero)))
+
+    def from_uint8(self, x: str, step: np.float32, zero: int) -> str:
+        """What eight bits stand for."""
+        x = self.add("DequantizeLinear", x, self.constant(step), self.constant(np.uint8(zero)))
+        self.steps[x] = step
+        return x
 
     def backbone(self) -> str:
         """Features of the input ``crop``."""
@@ -192,21 +205,41 @@ def _correlation(graph: _Graph, widths: list[int]) -> tuple[str, str]:
     """
     kernels = graph.add("Concat", "cls_kernel", "reg_kernel", axis=1)
     kernels = graph.add("Reshape", kernels, graph.constant(np.array([-1, 1, KERNEL, KERNEL])))
-    peaks = graph.ranges.features
-    if peaks is None:
-        features = graph.conv("neck.search", graph.backbone(), relu=False)
-    else:
-        # A convolution runs on integers only if its output is quantized too. Channels that are first brought to one
-        # range get a step each; the kernels, channel by channel, undo it.
-        neck, peaks = graph.layers["neck.search"], np.maximum(peaks, 1e-6)
-        even = dataclasses.replace(neck, gain=neck.gain / peaks, bias=neck.bias / peaks)
-        graph.layers = {**graph.layers, "neck.search": even}
-        features = graph.conv("neck.search", graph.backbone(), relu=False)
-        features = graph.through_uint8(features, np.float32(1 / 127), 128)
-        kernels = graph.add("Mul", kernels, graph.constant(peaks[:, None, None, None], "peaks"))
+    split = graph.constant(np.array(widths))
+    if graph.ranges.features is not None and graph.ranges.maps is not None:
+        maps = _integer_correlation(graph, kernels, graph.ranges.features, graph.ranges.maps)
+        cls, reg = graph.add("Split", maps, split, name="branches", outputs=2, axis=1)
+        return graph.from_uint8(cls, *_EVEN), graph.from_uint8(reg, *_EVEN)
+    features = graph.conv("neck.search", graph.backbone(), relu=False)
     maps = graph.add("Conv", features, kernels, name="correlation", group=sum(widths), kernel_shape=[KERNEL, KERNEL])
-    cls, reg = graph.add("Split", maps, graph.constant(np.array(widths)), name="branches", outputs=2, axis=1)
+    cls, reg = graph.add("Split", maps, split, name="branches", outputs=2, axis=1)
     return cls, reg
+
+
+def _integer_correlation(graph: _Graph, kernels: str, features: NDArray[np.float32], maps: NDArray[np.float32]) -> str:
+    """The correlation of ``kernels (C, 1, 4, 4)``, float, in integers; the maps in 8 bits.
+
+    Every channel uses all of its 8 bits: the neck's weights bring its features to one range, the kernels' steps,
+    taken from the kernels of the target at hand, bring the maps to one range, and the head's first weights undo it.
+    """
+    features, maps = np.maximum(features, 1e-6), np.maximum(maps, 1e-6)
+    neck = graph.layers["neck.search"]
+    changed = {"neck.search": dataclasses.replace(neck, gain=neck.gain / features, bias=neck.bias / features)}
+    cls_width = graph.layers["head.cls1"].weight.shape[1]
+    for branch, peaks in (("cls", maps[:cls_width]), ("reg", maps[cls_width:])):
+        layer = graph.layers[f"head.{branch}1"]
+        changed[f"head.{branch}1"] = dataclasses.replace(layer, weight=layer.weight * peaks[:, None, None])
+    graph.layers = {**graph.layers, **changed}
+
+    peaks = graph.add("ReduceMax", graph.add("Abs", kernels), axes=[1, 2, 3], keepdims=0)
+    steps = graph.add("Mul", graph.add("Max", peaks, graph.constant(np.float32(1e-12))), graph.constant(_EVEN[0]))
+    zeros = graph.constant(np.zeros(len(maps), np.int8), "kernel_zero")
+    whole = graph.add("QuantizeLinear", kernels, steps, zeros, axis=0)
+    steps = graph.add("Mul", steps, graph.constant(features / maps, "kernel_range"))
+    even = graph.constant(_EVEN[0]), graph.constant(np.uint8(_EVEN[1]))
+    x = graph.to_uint8(graph.conv("neck.search", graph.backbone(), relu=False), *_EVEN)
+    shape: dict[str, Any] = {"group": len(maps), "kernel_shape": [KERNEL, KERNEL]}
+    return str(graph.add("QLinearConv", x, *even, whole, steps, zeros, *even, name="correlation", **shape))
 
 
 def _boxes(graph: _Graph, scores: str, logs: str) -> str:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -38,6 +40,32 @@ def layers(model: SiamFCpp) -> dict[str, Layer]:
     si, bi = np.float32(model.head.si.item()), np.float32(model.head.bi.item())
     folded["head.reg_offsets"] = Layer(offsets.weight, offsets.gain * si, offsets.bias * si + bi)
     return folded
+
+
+def aligned(ragged: Mapping[str, Layer]) -> dict[str, Layer]:
+    """The same function with every width in between a multiple of four, filled up with filters of zeros.
+
+    A product of bytes reads four at a time: widths as pruning leaves them cost more than wider ones that are even
+    (`docs/speed.md`).
+    """
+    readers = {f"backbone.conv{i}": [f"backbone.conv{i + 1}"] for i in (1, 2, 3, 4)}
+    readers["backbone.conv5"] = [name for name in ragged if name.startswith("neck.")]
+    for branch, last in (("cls", "scores"), ("reg", "reg_offsets")):
+        readers |= {f"head.{branch}1": [f"head.{branch}2"], f"head.{branch}2": [f"head.{branch}3"]}
+        readers[f"head.{branch}3"] = [f"head.{last}"]
+    even = dict(ragged)
+    for name, after in readers.items():
+        extra = -len(even[name].bias) % 4
+        weight, gain, bias = even[name].weight, even[name].gain, even[name].bias
+        even[name] = Layer(
+            np.pad(weight, [(0, extra), (0, 0), (0, 0), (0, 0)]),
+            np.pad(gain, (0, extra), constant_values=1),
+            np.pad(bias, (0, extra)),
+        )
+        for reader in after:
+            weight = np.pad(even[reader].weight, [(0, 0), (0, extra), (0, 0), (0, 0)])
+            even[reader] = dataclasses.replace(even[reader], weight=weight)
+    return even
 
 
 def _fold(block: ConvBlock) -> Layer:

@@ -29,31 +29,31 @@ def measure(spec: ModelSpec, layers: Mapping[str, Layer], pairs: list[Pair]) -> 
     """
     graph = search_graph(spec, layers, Ranges())
     inputs = {n.name: n.input[0] for n in graph.graph.node if n.op_type == "Conv" and n.name != "correlation"}
-    tensors = sorted({*inputs.values(), "neck.search"})
+    tensors = sorted({*inputs.values(), "neck.search", "correlation"})
     graph.graph.output.extend(helper.make_tensor_value_info(t, TensorProto.FLOAT, None) for t in tensors)
     search = open_session(graph.SerializeToString(), None, spec.search_size)
     template = open_session(template_graph(spec, layers, Ranges()).SerializeToString(), None)
 
     low, high = dict.fromkeys(tensors, 0.0), dict.fromkeys(tensors, 0.0)
-    peaks: NDArray[np.float32] = np.zeros(1, np.float32)
+    peaks: dict[str, NDArray[np.float32]] = {}
     for pair in pairs:
         cls, reg = template.run(None, {"crop": pair.template[None]})
         feed = {"crop": pair.search[None], "cls_kernel": cls, "reg_kernel": reg}
         for tensor, values in zip(tensors, search.run(tensors, feed), strict=True):
             low[tensor] = min(low[tensor], float(values.min()))
             high[tensor] = max(high[tensor], float(values.max()))
-            if tensor == "neck.search":
-                peaks = np.maximum(peaks, np.abs(values).max(axis=(0, 2, 3)))
+            if tensor in ("neck.search", "correlation"):
+                peaks[tensor] = np.maximum(peaks.get(tensor, 0), np.abs(values).max(axis=(0, 2, 3)))
     ranges = {name: (low[tensor], high[tensor]) for name, tensor in inputs.items()}
     # Pixels are whole numbers already.
     ranges["backbone.conv1"] = (0.0, 255.0)
-    return Ranges(ranges, peaks)
+    return Ranges(ranges, peaks["neck.search"], peaks["correlation"])
 
 
 def without(ranges: Ranges, kept_float: Collection[str]) -> Ranges:
     """The ranges less those of layers that stay float."""
     inputs = {name: bounds for name, bounds in ranges.inputs.items() if name not in kept_float}
-    return Ranges(inputs, ranges.features if "neck.search" in inputs else None)
+    return Ranges(inputs, ranges.features, ranges.maps) if "neck.search" in inputs else Ranges(inputs)
 
 
 def losses(
