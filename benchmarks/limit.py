@@ -51,7 +51,7 @@ def peak(integers: bool, threads: int, rounds: int) -> float:
 
 
 def layer_macs(model: onnx.ModelProto, search_size: int) -> dict[str, int]:
-    """Multiply-accumulates of each convolution of a search graph."""
+    """Multiply-accumulates of each convolution of a search graph, those of filters that fill up widths included."""
     for value in model.graph.input:
         for axis in value.type.tensor_type.shape.dim:
             if axis.dim_param == "size":

@@ -217,29 +217,33 @@ def _correlation(graph: _Graph, widths: list[int]) -> tuple[str, str]:
 
 
 def _integer_correlation(graph: _Graph, kernels: str, features: NDArray[np.float32], maps: NDArray[np.float32]) -> str:
-    """The correlation of ``kernels (C, 1, 4, 4)``, float, in integers; the maps in 8 bits.
+    """The correlation of ``kernels (C, 1, 4, 4)``, float, in integers; its maps in 8 bits.
 
     Every channel uses all of its 8 bits: the neck's weights bring its features to one range, the kernels' steps,
-    taken from the kernels of the target at hand, bring the maps to one range, and the head's first weights undo it.
+    taken from the kernels of the target at hand, bring its map to one range, and the head's first weights undo it.
     """
     features, maps = np.maximum(features, 1e-6), np.maximum(maps, 1e-6)
-    neck = graph.layers["neck.search"]
-    changed = {"neck.search": dataclasses.replace(neck, gain=neck.gain / features, bias=neck.bias / features)}
-    cls_width = graph.layers["head.cls1"].weight.shape[1]
-    for branch, peaks in (("cls", maps[:cls_width]), ("reg", maps[cls_width:])):
-        layer = graph.layers[f"head.{branch}1"]
-        changed[f"head.{branch}1"] = dataclasses.replace(layer, weight=layer.weight * peaks[:, None, None])
+    neck, cls, reg = (graph.layers[name] for name in ("neck.search", "head.cls1", "head.reg1"))
+    of_cls, of_reg = maps[: cls.weight.shape[1], None, None], maps[cls.weight.shape[1] :, None, None]
+    changed = {
+        "neck.search": dataclasses.replace(neck, gain=neck.gain / features, bias=neck.bias / features),
+        "head.cls1": dataclasses.replace(cls, weight=cls.weight * of_cls),
+        "head.reg1": dataclasses.replace(reg, weight=reg.weight * of_reg),
+    }
     graph.layers = {**graph.layers, **changed}
 
     peaks = graph.add("ReduceMax", graph.add("Abs", kernels), axes=[1, 2, 3], keepdims=0)
+    # a channel without any kernel must not divide by zero
     steps = graph.add("Mul", graph.add("Max", peaks, graph.constant(np.float32(1e-12))), graph.constant(_EVEN[0]))
     zeros = graph.constant(np.zeros(len(maps), np.int8), "kernel_zero")
     whole = graph.add("QuantizeLinear", kernels, steps, zeros, axis=0)
     steps = graph.add("Mul", steps, graph.constant(features / maps, "kernel_range"))
-    even = graph.constant(_EVEN[0]), graph.constant(np.uint8(_EVEN[1]))
-    x = graph.to_uint8(graph.conv("neck.search", graph.backbone(), relu=False), *_EVEN)
-    shape: dict[str, Any] = {"group": len(maps), "kernel_shape": [KERNEL, KERNEL]}
-    return str(graph.add("QLinearConv", x, *even, whole, steps, zeros, *even, name="correlation", **shape))
+    kernels = graph.add("DequantizeLinear", whole, steps, zeros, axis=0)
+
+    x = graph.conv("neck.search", graph.backbone(), relu=False)
+    x = graph.from_uint8(graph.to_uint8(x, *_EVEN), *_EVEN)
+    x = graph.add("Conv", x, kernels, name="correlation", group=len(maps), kernel_shape=[KERNEL, KERNEL])
+    return graph.to_uint8(x, *_EVEN)
 
 
 def _boxes(graph: _Graph, scores: str, logs: str) -> str:
