@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
@@ -9,7 +11,7 @@ from tests.models.conftest import UNEVEN, randomize
 
 from psiamfcpp.export.crops import Pair, rendered, sample
 from psiamfcpp.export.graph import Ranges, search_graph, template_graph
-from psiamfcpp.export.layers import aligned, layers
+from psiamfcpp.export.layers import divided, layers, readers
 from psiamfcpp.export.quantize import losses, measure, without
 from psiamfcpp.models.network import SiamFCpp
 from psiamfcpp.runtime.onnx_engine import open_session
@@ -110,37 +112,57 @@ def test_eight_bits_stay_close(network: SiamFCpp, ranges: Ranges, pairs: list[Pa
 def test_kernels_far_from_those_of_the_calibration_keep_their_eight_bits(
     network: SiamFCpp, ranges: Ranges, pairs: list[Pair]
 ) -> None:
-    def maps(some: Ranges, kernels: list[np.ndarray]) -> np.ndarray:
+    def logits(some: Ranges, kernels: list[np.ndarray]) -> np.ndarray:
         graph = search_graph(network.spec, layers(network), some)
-        tensor = next(n.output[0] for n in graph.graph.node if n.name == "head.cls1.relu")
+        tensor = next(n.output[0] for n in graph.graph.node if n.name == "head.scores")
         graph.graph.output.append(onnx.helper.make_tensor_value_info(tensor, onnx.TensorProto.FLOAT, None))
         feed = {"crop": pairs[1].search[None], "cls_kernel": kernels[0], "reg_kernel": kernels[1]}
         return open_session(graph.SerializeToString(), 1).run([tensor], feed)[0]
 
     template = open_session(template_graph(network.spec, layers(network), Ranges()).SerializeToString(), 1)
     kernels = [k / 4 for k in template.run(None, {"crop": pairs[1].template[None]})]
-    expected = maps(Ranges(), kernels)
+    expected = logits(Ranges(), kernels)
     # steps follow the kernels: at a quarter of their size only those of the maps are coarser against what they hold
-    assert np.abs(maps(ranges, kernels) - expected).mean() < 0.05 * np.abs(expected).mean()
+    assert np.abs(logits(ranges, kernels) - expected).mean() < 0.05 * np.abs(expected).mean()
     # and a channel without any kernel gives nothing, not a division by zero
-    assert np.isfinite(maps(ranges, [np.zeros_like(k) for k in kernels])).all()
+    assert np.isfinite(logits(ranges, [np.zeros_like(k) for k in kernels])).all()
 
 
-def test_filling_up_widths_changes_nothing(network: SiamFCpp, pairs: list[Pair]) -> None:
-    ragged = layers(network)
-    even = aligned(ragged)
-    assert any(len(layer.bias) % 4 for layer in ragged.values())
-    inner = [name for name in even if not name.startswith(("neck.", "head.scores", "head.reg_offsets"))]
-    assert not any(len(even[name].bias) % 4 for name in inner)
-    template = open_session(template_graph(network.spec, ragged, Ranges()).SerializeToString(), 1)
-    cls, reg = template.run(None, {"crop": pairs[0].template[None]})
-    feed = {"crop": pairs[0].search[None], "cls_kernel": cls, "reg_kernel": reg}
-    expected, found = (
-        open_session(search_graph(network.spec, some, Ranges()).SerializeToString(), 1).run(None, feed)
-        for some in (ragged, even)
+def test_uneven_widths_are_filled_up_with_filters_of_zeros(network: SiamFCpp) -> None:
+    filled = layers(network)
+    assert set(readers()) <= set(filled) and any(width % 4 for width in UNEVEN.values())
+    for name, after in readers().items():
+        width, own = UNEVEN[name], filled[name]
+        assert len(own.bias) == -(-width // 4) * 4
+        assert not own.weight[width:].any() and not own.bias[width:].any()
+        assert all(filled[reader].weight.shape[1] == len(own.bias) for reader in after)
+
+
+def test_dividing_channels_changes_nothing_that_comes_out(network: SiamFCpp, pairs: list[Pair]) -> None:
+    rng = np.random.default_rng(0)
+    factors = {name: rng.uniform(0.2, 5, len(layers(network)[name].bias)).astype(np.float32) for name in readers()}
+    expected, found = (answer(network, Ranges(factors=some), pairs[0]) for some in ({}, factors))
+    assert_allclose(found[0], expected[0], atol=2e-3)  # weights are stored in half precision
+    assert (
+        np.abs(
+            divided(layers(network), factors)["backbone.conv2"].weight - layers(network)["backbone.conv2"].weight
+        ).max()
+        > 0
     )
-    assert_allclose(found[0], expected[0], rtol=1e-5, atol=1e-6)
-    assert_allclose(found[1], expected[1], rtol=1e-4, atol=1e-3)
+
+
+def test_channels_and_the_weights_that_read_them_are_brought_nearer_to_each_other(network: SiamFCpp) -> None:
+    from psiamfcpp.export.quantize import _factors
+
+    peaks = np.geomspace(1, 100, 8).astype(np.float32)
+    weight = np.ones((3, 8, 1, 1), np.float32)
+    reader = {
+        "reader": dataclasses.replace(layers(network)["backbone.conv2"], weight=weight, gain=np.ones(3, np.float32))
+    }
+    # even weights: channels meet half-way, on the logarithm
+    assert_allclose(peaks / _factors(peaks, reader, ["reader"]), np.sqrt(peaks), rtol=1e-5)
+    # a dead channel does not make its weights endless
+    assert _factors(np.append(peaks[:7], 0).astype(np.float32), reader, ["reader"])[7] > 0
 
 
 def test_each_layer_is_judged_alone(network: SiamFCpp, ranges: Ranges, pairs: list[Pair]) -> None:
@@ -154,9 +176,12 @@ def test_each_layer_is_judged_alone(network: SiamFCpp, ranges: Ranges, pairs: li
 
 def test_ranges_hold_the_highest_value_of_every_crop(network: SiamFCpp, pairs: list[Pair]) -> None:
     first, second, both = (measure(network.spec, layers(network), some) for some in (pairs[:1], pairs[1:2], pairs[:2]))
-    for name, (low, high) in both.inputs.items():
-        assert low == min(first.inputs[name][0], second.inputs[name][0])
-        assert high == max(first.inputs[name][1], second.inputs[name][1])
+    for one in ("features", "maps"):
+        assert_array_equal(getattr(both, one), np.maximum(getattr(first, one), getattr(second, one)))
+    # what enters the head is not divided by anything
+    low, high = both.inputs["head.cls1"]
+    assert low == min(first.inputs["head.cls1"][0], second.inputs["head.cls1"][0])
+    assert high == max(first.inputs["head.cls1"][1], second.inputs["head.cls1"][1])
 
 
 def test_pixels_are_taken_as_they_are(ranges: Ranges) -> None:

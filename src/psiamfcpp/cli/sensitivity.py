@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import tyro
 
@@ -30,7 +30,7 @@ def sensitivity(
     """What pruning each layer costs in precision, by share kept, and what other criteria make of the paper's widths.
 
     Every network is measured by one-pass evaluation with the plain procedure. The folder keeps a file for each, so that
-    the same command goes on where it was stopped; at the end it writes table.csv and sensitivity.png there.
+    the same command goes on where it was stopped, and table.csv, which grows; sensitivity.png comes at the end.
 
     Args:
         model: name of a shipped model, or a model file.
@@ -57,11 +57,13 @@ def sensitivity(
         raise UserError(f"jobs is {jobs}: it must be at least 1")
     setup = Setup(model, ranks, root, data, options)
     wanted = cells(setup, rows or tuple(ROWS), shares)
-    with progress() as bar:
-        done = list(bar.track(measure_all(setup, wanted, output, jobs), total=len(wanted), description="networks"))
     order = {(c.row, c.share, c.criterion, c.tuned): number for number, c in enumerate(wanted)}
-    done.sort(key=lambda r: order[r["row"], r["share"], r["criterion"], r["tuned"]])
-    report.write_csv(done, output / "table.csv")
+    done: list[dict[str, Any]] = []
+    with progress() as bar:
+        for result in bar.track(measure_all(setup, wanted, output, jobs), total=len(wanted), description="networks"):
+            done.append(result)
+            done.sort(key=lambda r: order[r["row"], r["share"], r["criterion"], r["tuned"]])
+            report.write_csv(done, output / "table.csv")
     report.draw_sensitivity(done, output / "sensitivity.png")
     if json:
         print_json({"cells": done})

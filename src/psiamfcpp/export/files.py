@@ -10,7 +10,7 @@ from typing import Literal
 from psiamfcpp.errors import UserError
 from psiamfcpp.export.crops import Pair
 from psiamfcpp.export.graph import Ranges, search_graph, template_graph
-from psiamfcpp.export.layers import aligned, layers
+from psiamfcpp.export.layers import layers
 from psiamfcpp.export.parity import Difference, compare, look
 from psiamfcpp.models import SiamFCpp
 from psiamfcpp.runtime import open_engine
@@ -36,7 +36,7 @@ def write_graphs(model: SiamFCpp, folder: Path, form: Format, ranges: Ranges, pa
     Raises:
         UserError: they are too far from it, or the folder cannot be written to; then nothing was.
     """
-    weights = aligned(layers(model))
+    weights = layers(model)
     graphs = {
         "template": template_graph(model.spec, weights, Ranges()),
         "search": search_graph(model.spec, weights, ranges),

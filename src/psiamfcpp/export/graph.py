@@ -12,7 +12,7 @@ import onnx
 from numpy.typing import NDArray
 from onnx import TensorProto, helper, numpy_helper
 
-from psiamfcpp.export.layers import Layer
+from psiamfcpp.export.layers import Layer, divided
 from psiamfcpp.runtime.graph_file import GRAPH_FORMAT
 from psiamfcpp.spec import STRIDE, ModelSpec
 
@@ -37,6 +37,8 @@ class Ranges:
     """``(C,)``: largest magnitude of each channel of ``neck.search``, if that layer is among them"""
     maps: NDArray[np.float32] | None = None
     """``(C,)``: the same of what the correlation makes of these channels"""
+    factors: Mapping[str, NDArray[np.float32]] = field(default_factory=dict)
+    """what the output channels of layers are divided by, before the ranges above were taken"""
 
 
 @dataclass
@@ -179,7 +181,7 @@ def search_graph(spec: ModelSpec, layers: Mapping[str, Layer], ranges: Ranges) -
 
     Boxes are x0, y0, x1, y1 in pixels of the crop; S is free. Arguments as for `template_graph`.
     """
-    graph = _Graph(layers, ranges)
+    graph = _Graph(divided(layers, ranges.factors), ranges)
     cls, reg = _correlation(graph, [spec.widths["neck.cls"], spec.widths["neck.reg"]])
     for i in (1, 2, 3):
         cls = graph.conv(f"head.cls{i}", cls, relu=True)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +13,8 @@ from numpy.typing import NDArray
 from psiamfcpp.models.network import ConvBlock, SiamFCpp
 
 Float32Array = NDArray[np.float32]
+
+_LAST = {"cls": "scores", "reg": "reg_offsets"}
 
 
 @dataclass(frozen=True)
@@ -30,7 +33,8 @@ def layers(model: SiamFCpp) -> dict[str, Layer]:
     """The convolutions of both graphs, by the name that they get there.
 
     Layers that read the same input are one: both necks of the search branch (``neck.search``), and class and
-    centre-ness (``head.scores``).
+    centre-ness (``head.scores``). Every width in between is a multiple of four, filled up with filters of zeros: a
+    product of bytes reads four at a time, and widths as pruning leaves them cost more than wider ones that are even.
     """
     blocks = {name: block for name, block in model.named_modules() if isinstance(block, ConvBlock)}
     folded = {name: _fold(block) for name, block in blocks.items()}
@@ -39,28 +43,37 @@ def layers(model: SiamFCpp) -> dict[str, Layer]:
     offsets = folded["head.reg_offsets"]
     si, bi = np.float32(model.head.si.item()), np.float32(model.head.bi.item())
     folded["head.reg_offsets"] = Layer(offsets.weight, offsets.gain * si, offsets.bias * si + bi)
-    return folded
+    return _filled_up(folded)
 
 
-def aligned(ragged: Mapping[str, Layer]) -> dict[str, Layer]:
-    """The same function with every width in between a multiple of four, filled up with filters of zeros.
+def readers() -> dict[str, tuple[str, ...]]:
+    """For each layer that others read directly or through a pool: those others."""
+    chains = [[f"backbone.conv{i}" for i in range(1, 6)]]
+    chains += [[f"head.{b}{i}" for i in (1, 2, 3)] + [f"head.{last}"] for b, last in _LAST.items()]
+    found = {name: (after,) for chain in chains for name, after in pairwise(chain)}
+    return found | {"backbone.conv5": ("neck.search", "neck.cls_template", "neck.reg_template")}
 
-    A product of bytes reads four at a time: widths as pruning leaves them cost more than wider ones that are even
-    (`docs/speed.md`).
-    """
-    readers = {f"backbone.conv{i}": [f"backbone.conv{i + 1}"] for i in (1, 2, 3, 4)}
-    readers["backbone.conv5"] = [name for name in ragged if name.startswith("neck.")]
-    for branch, last in (("cls", "scores"), ("reg", "reg_offsets")):
-        readers |= {f"head.{branch}1": [f"head.{branch}2"], f"head.{branch}2": [f"head.{branch}3"]}
-        readers[f"head.{branch}3"] = [f"head.{last}"]
+
+def divided(some: Mapping[str, Layer], factors: Mapping[str, Float32Array]) -> dict[str, Layer]:
+    """The same function, with the outputs of layers divided by factors ``(C,)``, which their readers multiply by."""
+    changed = dict(some)
+    for name, factor in factors.items():
+        own = changed[name]
+        changed[name] = dataclasses.replace(own, gain=own.gain / factor, bias=own.bias / factor)
+        for reader in readers()[name]:
+            weight = changed[reader].weight * factor[:, None, None]
+            changed[reader] = dataclasses.replace(changed[reader], weight=weight)
+    return changed
+
+
+def _filled_up(ragged: Mapping[str, Layer]) -> dict[str, Layer]:
     even = dict(ragged)
-    for name, after in readers.items():
-        extra = -len(even[name].bias) % 4
-        weight, gain, bias = even[name].weight, even[name].gain, even[name].bias
+    for name, after in readers().items():
+        own, extra = even[name], -len(even[name].bias) % 4
         even[name] = Layer(
-            np.pad(weight, [(0, extra), (0, 0), (0, 0), (0, 0)]),
-            np.pad(gain, (0, extra), constant_values=1),
-            np.pad(bias, (0, extra)),
+            np.pad(own.weight, [(0, extra), (0, 0), (0, 0), (0, 0)]),
+            np.pad(own.gain, (0, extra), constant_values=1),
+            np.pad(own.bias, (0, extra)),
         )
         for reader in after:
             weight = np.pad(even[reader].weight, [(0, 0), (0, extra), (0, 0), (0, 0)])

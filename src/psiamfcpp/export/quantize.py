@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Collection, Iterator, Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 from onnx import TensorProto, helper
 
 from psiamfcpp.export.crops import Pair
 from psiamfcpp.export.graph import Ranges, search_graph, template_graph
-from psiamfcpp.export.layers import Layer
+from psiamfcpp.export.layers import Float32Array, Layer, readers
 from psiamfcpp.export.parity import Answer, Difference, compare
 from psiamfcpp.runtime.onnx_engine import open_session
 from psiamfcpp.spec import ModelSpec
@@ -18,6 +18,8 @@ from psiamfcpp.spec import ModelSpec
 
 def measure(spec: ModelSpec, layers: Mapping[str, Layer], pairs: list[Pair]) -> Ranges:
     """Ranges of the inputs of all layers of the search graph: the lowest and the highest value that any crop gives.
+
+    Channels are first divided by factors that bring them nearer to each other, since those of a tensor share a range.
 
     Nothing is cut off for finer steps: cutting where the squared error of the map is least was tried, and made the
     largest error of the scores larger.
@@ -34,26 +36,50 @@ def measure(spec: ModelSpec, layers: Mapping[str, Layer], pairs: list[Pair]) -> 
     search = open_session(graph.SerializeToString(), None, spec.search_size)
     template = open_session(template_graph(spec, layers, Ranges()).SerializeToString(), None)
 
-    low, high = dict.fromkeys(tensors, 0.0), dict.fromkeys(tensors, 0.0)
-    peaks: dict[str, NDArray[np.float32]] = {}
+    low: dict[str, Float32Array] = {}
+    high: dict[str, Float32Array] = {}
     for pair in pairs:
         cls, reg = template.run(None, {"crop": pair.template[None]})
         feed = {"crop": pair.search[None], "cls_kernel": cls, "reg_kernel": reg}
         for tensor, values in zip(tensors, search.run(tensors, feed), strict=True):
-            low[tensor] = min(low[tensor], float(values.min()))
-            high[tensor] = max(high[tensor], float(values.max()))
-            if tensor in ("neck.search", "correlation"):
-                peaks[tensor] = np.maximum(peaks.get(tensor, 0), np.abs(values).max(axis=(0, 2, 3)))
-    ranges = {name: (low[tensor], high[tensor]) for name, tensor in inputs.items()}
+            low[tensor] = np.minimum(low.get(tensor, np.inf), values.min(axis=(0, 2, 3)))
+            high[tensor] = np.maximum(high.get(tensor, -np.inf), values.max(axis=(0, 2, 3)))
+    peaks = {tensor: np.maximum(np.abs(low[tensor]), np.abs(high[tensor])) for tensor in tensors}
+    factors = {name: _factors(peaks[inputs[after[0]]], layers, after) for name, after in readers().items()}
+    divisors = {after[0]: factors[name] for name, after in readers().items()}
+    ranges = {}
+    for name, tensor in inputs.items():
+        divisor = divisors.get(name, np.float32(1))
+        ranges[name] = float((low[tensor] / divisor).min()), float((high[tensor] / divisor).max())
     # Pixels are whole numbers already.
     ranges["backbone.conv1"] = (0.0, 255.0)
-    return Ranges(ranges, peaks["neck.search"], peaks["correlation"])
+    return Ranges(ranges, peaks["neck.search"], peaks["correlation"], factors)
+
+
+def _factors(peaks: Float32Array, layers: Mapping[str, Layer], after: Collection[str]) -> Float32Array:
+    """What to divide channels by so that neither they nor the weights that read them lose much to the largest.
+
+    Half of the way to even channels and half to even weights (SmoothQuant, Xiao et al. 2023, equation 4, alpha 0.5).
+
+    Args:
+        peaks: ``(C,)``, largest magnitude of each channel.
+        layers: the model's.
+        after: those that read the channels.
+    """
+    folded = [np.abs(layers[name].weight * layers[name].gain[:, None, None, None]) for name in after]
+    peak_of_filter = [np.maximum(w.max(axis=(1, 2, 3), keepdims=True), 1e-12) for w in folded]
+    shares = np.max([(w / p).max(axis=(0, 2, 3)) for w, p in zip(folded, peak_of_filter, strict=True)], axis=0)
+    # A channel that is dead, or that nothing reads, has no say.
+    factors: Float32Array = np.sqrt(np.maximum(peaks, max(1e-3 * peaks.max(), 1e-6)) / np.maximum(shares, 1e-3))
+    return factors
 
 
 def without(ranges: Ranges, kept_float: Collection[str]) -> Ranges:
     """The ranges less those of layers that stay float."""
     inputs = {name: bounds for name, bounds in ranges.inputs.items() if name not in kept_float}
-    return Ranges(inputs, ranges.features, ranges.maps) if "neck.search" in inputs else Ranges(inputs)
+    if "neck.search" in inputs:
+        return dataclasses.replace(ranges, inputs=inputs)
+    return dataclasses.replace(ranges, inputs=inputs, features=None, maps=None)
 
 
 def losses(
@@ -79,6 +105,6 @@ def losses(
             found.append((scores[0], boxes[0]))
         return found
 
-    expected = answers(Ranges())
+    expected = answers(Ranges(factors=ranges.factors))
     for name in ranges.inputs:
         yield name, compare(expected, answers(without(ranges, set(ranges.inputs) - {name})))
