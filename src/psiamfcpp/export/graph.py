@@ -127,16 +127,39 @@ class _Graph:
 
     def backbone(self) -> str:
         """Features of the input ``crop``."""
-        x = self.add("Transpose", "crop", name="pixels", perm=[0, 3, 1, 2])
-        if "backbone.conv1" not in self.ranges.inputs:
-            x = self.add("Cast", x, to=TensorProto.FLOAT)
         # Pools round up in the network; at the sizes that a spec allows there is nothing to round.
         pool: dict[str, Any] = {"kernel_shape": [3, 3], "strides": [2, 2]}
-        x = self.add("MaxPool", self.conv("backbone.conv1", x, relu=True, stride=2), name="backbone.pool1", **pool)
+        x = self.add("MaxPool", self.first(), name="backbone.pool1", **pool)
         x = self.add("MaxPool", self.conv("backbone.conv2", x, relu=True), name="backbone.pool2", **pool)
         x = self.conv("backbone.conv3", x, relu=True)
         x = self.conv("backbone.conv4", x, relu=True)
         return self.conv("backbone.conv5", x, relu=False)
+
+    def first(self) -> str:
+        """The first layer."""
+        name = "backbone.conv1"
+        if name not in self.ranges.inputs:
+            x = self.add("Transpose", "crop", name="pixels", perm=[0, 3, 1, 2])
+            return self.conv(name, self.add("Cast", x, to=TensorProto.FLOAT), relu=True, stride=2)
+        # In integers the time goes into gathering what each filter sees, row by row. With two by two pixels as one,
+        # of twelve channels and at stride 1, there are half as many rows.
+        layer = self.layers[name]
+        weight = np.pad(layer.weight, [(0, 0), (0, 0), (0, 1), (0, 1)]).reshape(-1, 3, 6, 2, 6, 2)
+        weight = weight.transpose(0, 3, 5, 1, 2, 4).reshape(-1, 12, 6, 6)
+        self.layers = {**self.layers, name: dataclasses.replace(layer, weight=weight)}
+        return self.conv(name, self._two_by_two(), relu=True)
+
+    def _two_by_two(self) -> str:
+        """The crop as ``(1, 12, (S + 1) / 2, (S + 1) / 2)``; S is odd, so a row and a column are added."""
+        one, two, six = (self.constant(np.array([v])) for v in (1, 2, 6))
+        half = self.add("Div", self.add("Add", self.add("Shape", "crop", start=1, end=2), one), two)
+        edge = self.constant(np.array([0, 0, 0, 0, 0, 1, 1, 0]))
+        x = self.add("Pad", "crop", edge, self.constant(np.uint8(0)))
+        x = self.add("Reshape", x, self.add("Concat", one, half, two, self.constant(np.array([-1])), axis=0))
+        shape = self.add("Concat", one, half, half, six, axis=0)
+        rows = [self.add("Reshape", row, shape) for row in self.add("Split", x, outputs=2, axis=2)]
+        x = self.add("Concat", *rows, axis=3)
+        return str(self.add("Transpose", x, name="pixels", perm=[0, 3, 1, 2]))
 
     def model(
         self, spec: ModelSpec, inputs: list[Any], outputs: dict[str, tuple[str, Any, list[Any]]]

@@ -73,6 +73,8 @@ def open_session(
     options.intra_op_num_threads = threads or usable_cores()
     # Between two searches its threads would go on in busy loops, and decoding, drawing and other sessions wait.
     options.add_session_config_entry("session.force_spinning_stop", "1")
+    # Threads take smaller and smaller blocks of a layer, so that none waits long for the last.
+    options.add_session_config_entry("session.dynamic_block_base", "4")
     if search_size is not None:
         # With its size known at load, onnxruntime lays out memory and folds the grid of cells once.
         options.add_free_dimension_override_by_name("size", search_size)
