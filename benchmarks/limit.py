@@ -50,19 +50,26 @@ def peak(integers: bool, threads: int, rounds: int) -> float:
     return SIDE**3 / best
 
 
-def layer_macs(model: onnx.ModelProto, search_size: int) -> dict[str, int]:
-    """Multiply-accumulates of each convolution of a search graph, those of filters that fill up widths included."""
-    for value in model.graph.input:
-        for axis in value.type.tensor_type.shape.dim:
-            if axis.dim_param == "size":
-                axis.dim_value = search_size
-    inferred = onnx.shape_inference.infer_shapes(model, data_prop=True)
-    shapes = {v.name: [d.dim_value for d in v.type.tensor_type.shape.dim] for v in inferred.graph.value_info}
-    shapes |= {t.name: list(t.dims) for t in model.graph.initializer}
+def example(session: onnxruntime.InferenceSession, size: int) -> dict[str, np.ndarray]:
+    """A search crop and kernels of noise."""
+    rng = np.random.default_rng(0)
+    feed = {"crop": rng.integers(0, 256, (1, size, size, 3), dtype=np.uint8)}
+    for value in session.get_inputs()[1:]:
+        feed[value.name] = rng.standard_normal(value.shape).astype(np.float32)
+    return feed
+
+
+def layer_macs(model: onnx.ModelProto, size: int) -> dict[str, int]:
+    """Multiply-accumulates of each convolution as the graph has it, zeros that fill up widths and kernels included."""
+    convolutions = [node for node in model.graph.node if node.op_type == "Conv"]
+    wanted = [name for node in convolutions for name in (node.output[0], node.input[1])]
+    looked_into = onnx.ModelProto.FromString(model.SerializeToString())
+    looked_into.graph.output.extend(helper.make_tensor_value_info(name, TensorProto.FLOAT, None) for name in wanted)
+    session = open_session(looked_into.SerializeToString(), 1, size)
+    shapes = [array.shape for array in session.run(wanted, example(session, size))]
     return {
-        node.name: int(np.prod(shapes[node.output[0]]) * np.prod(shapes[node.input[1]][1:]))
-        for node in model.graph.node
-        if node.op_type == "Conv"
+        node.name: int(np.prod(out) * np.prod(weight[1:]))
+        for node, out, weight in zip(convolutions, shapes[::2], shapes[1::2], strict=True)
     }
 
 
@@ -76,10 +83,7 @@ def layer_times(path: Path, size: int, threads: int, rounds: int) -> dict[str, f
     with tempfile.TemporaryDirectory() as folder:
         options.profile_file_prefix = f"{folder}/profile"
         session = onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
-        rng = np.random.default_rng(0)
-        feed = {"crop": rng.integers(0, 256, (1, size, size, 3), dtype=np.uint8)}
-        for value in session.get_inputs()[1:]:
-            feed[value.name] = rng.standard_normal(value.shape).astype(np.float32)
+        feed = example(session, size)
         for _ in range(rounds):
             session.run(None, feed)
         events = json.loads(Path(session.end_profiling()).read_text())
@@ -116,8 +120,9 @@ def main() -> None:
     rest = dict(times)
     for layer, count in sorted(macs.items(), key=lambda item: -item[1]):
         # onnxruntime appends to the names of what it fuses
-        own = [name for name in times if name == layer or name.startswith(f"{layer}_")]
-        row(layer, count, sum(rest.pop(name) for name in own))
+        own = [name for name in times if name == layer or name.startswith((f"{layer}_", f"{layer}.relu"))]
+        if own:  # the last layers may have gone into what follows them
+            row(layer, count, sum(rest.pop(name) for name in own))
     print(f"{'everything else':20} {'':7} {sum(rest.values()) * 1e3:7.3f}")
     row("search graph", sum(macs.values()), sum(times.values()))
 
