@@ -91,7 +91,6 @@ def test_quantized_layers_run_on_integers_and_others_in_float(network: SiamFCpp,
         options.optimized_model_filepath = str(tmp_path / "optimized.onnx")
         onnxruntime.InferenceSession(graph.SerializeToString(), options, providers=["CPUExecutionProvider"])
         nodes = onnx.load(tmp_path / "optimized.onnx").graph.node
-        assert {n.op_type for n in nodes} >= {"QLinearConv"}
         return {n.name.removesuffix("_nhwc").split("_token")[0] for n in nodes if n.op_type == "QLinearConv"}
 
     # An integer convolution has an integer output: the last ones, which feed the scores and boxes, stay float.
@@ -143,12 +142,9 @@ def test_dividing_channels_changes_nothing_that_comes_out(network: SiamFCpp, pai
     factors = {name: rng.uniform(0.2, 5, len(layers(network)[name].bias)).astype(np.float32) for name in readers()}
     expected, found = (answer(network, Ranges(factors=some), pairs[0]) for some in ({}, factors))
     assert_allclose(found[0], expected[0], atol=2e-3)  # weights are stored in half precision
-    assert (
-        np.abs(
-            divided(layers(network), factors)["backbone.conv2"].weight - layers(network)["backbone.conv2"].weight
-        ).max()
-        > 0
-    )
+    assert_allclose(found[1], expected[1], rtol=0.02, atol=0.5)
+    plain, changed = layers(network), divided(layers(network), factors)
+    assert all((changed[name].gain != plain[name].gain).all() for name in readers())
 
 
 def test_channels_and_the_weights_that_read_them_are_brought_nearer_to_each_other(network: SiamFCpp) -> None:
