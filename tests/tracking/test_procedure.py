@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from psiamfcpp.spec import TrackingConstants
-from psiamfcpp.tracking.procedure import Estimate, FloatMap, Target, contrast, cosine_window, estimate, smooth
+from psiamfcpp.tracking.procedure import Estimate, FloatMap, Target, contrast, cosine_window, estimate, hidden, smooth
 
 N = 17
 K, WINDOW = 0.05, 0.25
@@ -175,3 +175,20 @@ def test_a_cell_that_is_not_the_best_has_negative_contrast() -> None:
 
 def test_a_box_over_the_whole_crop_has_nothing_to_compete_with() -> None:
     assert contrast(*maps({(8, 8): 0.9}, w=303, h=303, rest=0.5), (8, 8)) == pytest.approx(math.log(901))
+
+
+# hidden
+
+
+@pytest.mark.parametrize("scale", [1.0, 0.5])
+def test_only_cells_whose_boxes_lie_in_the_seen_target_are_hidden(scale: float) -> None:
+    scores, boxes = maps({(8, 8): 0.9, (8, 14): 0.8, (2, 8): 0.7}, rest=0.1)
+    before = scores.copy()
+    around = Target(100, 80, 63.5 / scale, 63.5 / scale)
+    # 48 pixels right of the crop's centre lies cell (8, 14); the box reaches 20 pixels of the crop to each side
+    rest = hidden(scores, boxes, around, Target(100 + 48 / scale, 80, 40 / scale, 40 / scale), 303, 127)
+    rows, columns = np.nonzero(rest == 0)
+    assert (rows.min(), rows.max(), columns.min(), columns.max()) == (6, 10, 12, 16)
+    assert len(rows) == 25
+    assert rest[8, 8] == 0.9
+    np.testing.assert_array_equal(scores, before)

@@ -194,6 +194,32 @@ def test_a_weak_find_elsewhere_does_not_take_a_lost_target_up(blob_engine: Any, 
     assert {tracker.update(blob_frame((220, 180, 40, 30))).state for _ in range(60)} == {"lost"}
 
 
+@pytest.mark.parametrize(("likeness", "changed"), [(0.93, True), (0.99, False)])
+def test_what_was_taken_up_elsewhere_gives_way_to_a_better_find_at_the_expected_place(
+    blob_engine: Any, blob_frame: Draw, monkeypatch: pytest.MonkeyPatch, likeness: float, changed: bool
+) -> None:
+    # no search region about either place reaches the other, and the other is a little darker
+    other, see = (230, 170, 40, 30), blob_engine._see
+
+    def see_with_likeness(crop: Any) -> Any:
+        blob_engine.peak = 0.95 if crop.max() > 240 else likeness
+        return see(crop)
+
+    monkeypatch.setattr(blob_engine, "_see", see_with_likeness)
+    tracker = begun(blob_frame)
+    for _ in range(LOST_AFTER):
+        tracker.update(blob_frame(None))
+    dark = np.minimum(blob_frame(other), 230)
+    for _ in range(320):
+        if tracker.update(dark).state == "tracking":
+            break
+    both = np.maximum(dark, blob_frame(START))
+    tracks = [tracker.update(both) for _ in range(10)]
+    assert {t.state for t in tracks} == {"tracking"}
+    assert [centre_error(t.box, other) < 1.5 for t in tracks] == [True] * 4 + [not changed] * 6
+    assert [centre_error(t.box, START) < 1.5 for t in tracks[4:]] == [changed] * 6
+
+
 def test_a_lost_target_is_not_looked_for_outside_the_frame(blob_engine: Any, blob_frame: Draw) -> None:
     tracker = begun(blob_frame, (0, 0, 40, 30))
     for _ in range(100):

@@ -106,6 +106,27 @@ def smooth(previous: Target, found: Estimate, rate: float, frame_shape: tuple[in
     )
 
 
+def hidden(
+    scores: FloatMap, boxes: FloatMap, around: Target, seen: Target, search_size: int, template_size: int
+) -> FloatMap:
+    """The scores ``(N, N)`` with 0 in every cell whose box has its centre in another box: what else is there?
+
+    Args:
+        scores: ``(N, N)``; left as they are.
+        boxes: ``(N, N, 4)`` as x0, y0, x1, y1 in pixels of the crop.
+        around: the target that the crop was centred on and scaled by.
+        seen: the box to leave out, in the frame.
+        search_size: side of the crop in pixels.
+        template_size: side of the template in pixels.
+    """
+    scale = template_size / context_side(around.w, around.h)
+    middle = search_size // 2
+    dx = (boxes[..., 0] + boxes[..., 2]) / 2 - middle - (seen.cx - around.cx) * scale
+    dy = (boxes[..., 1] + boxes[..., 3]) / 2 - middle - (seen.cy - around.cy) * scale
+    inside = (np.abs(dx) < seen.w * scale / 2) & (np.abs(dy) < seen.h * scale / 2)
+    return np.where(inside, 0, scores)
+
+
 def contrast(scores: FloatMap, boxes: FloatMap, cell: tuple[int, int]) -> float:
     """Logarithm of the peak's score over the best score outside the peak's box: small where something else competes.
 

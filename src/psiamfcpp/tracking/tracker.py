@@ -16,7 +16,8 @@ from psiamfcpp.geometry import Box, Image, centre, check_box, context_side, from
 from psiamfcpp.runtime import Engine, open_engine
 from psiamfcpp.spec import STRIDE, score_size
 from psiamfcpp.tracking.confidence import State, StateMachine, confidence
-from psiamfcpp.tracking.procedure import Estimate, FloatMap, Target, contrast, cosine_window, estimate, smooth
+from psiamfcpp.tracking.contest import Contest
+from psiamfcpp.tracking.procedure import Estimate, FloatMap, Target, contrast, cosine_window, estimate, hidden, smooth
 from psiamfcpp.zoo import DEFAULT_MODEL
 
 # Sides below this are not followed down, unless the target began smaller (the original's lower bound).
@@ -24,6 +25,8 @@ _SMALLEST_SIDE = 10.0
 # Velocity and size to look for again are running means over some ten frames: in the last ones before it vanishes a
 # target is covered in part, seems small, and holds back. The velocity holds for a second of video.
 _MEMORY_RATE, _COAST_FRAMES = 0.1, 30
+# After so many frames without it, what is taken up elsewhere than expected may be something else.
+_UNSEEN = 3
 # What a lost target's search region is larger by than a followed one's.
 _LOST_REACH = 1.3
 
@@ -106,6 +109,7 @@ class Tracker:
         self._seen = self._target
         self._velocity = (0.0, 0.0)
         self._unseen_for = self._lost_for = 0
+        self._contest: Contest | None = None
         size = self.spec.template_size
         self._kernels = self.engine.template(target_crop(frame, (cx, cy, w, h), size, size, self._fill))
         return Track((x, y, w, h), 1.0, "tracking")
@@ -192,18 +196,51 @@ class Tracker:
         expected = _lies_in(found.target, self._seen if was_lost else gone_on)
         state = self._states.step(value, elsewhere=not expected)
         if state == "tracking":
+            last_seen = self._gone_on(self._seen, frame)
+            if self._unseen_for >= _UNSEEN and not _lies_in(found.target, last_seen):
+                self._contest = Contest(last_seen, self._velocity)
             rate = self.spec.constants.test_lr * found.penalty * found.score
             self._target = self._moved(around, found, rate, frame)
             self._see()
+            value = self._contested(frame, found.score, value)
             return Track(self._box(), value, state)
         self._unseen_for += 1
         self._seen = self._gone_on(self._seen, frame)
         self._lost_for = self._lost_for + 1 if state == "lost" else 0
+        if state == "lost":
+            self._contest = None
         if state == "unsure" and value < self.spec.calibration.lost_below and not expected:
             self._target = gone_on
         elif around == guess:
             self._target = self._moved(guess, found, 0.0, frame)
         return Track(self._box(), value, state)
+
+    def _contested(self, frame: Image, score: float, value: float) -> float:
+        """Look where the target was expected too, while that has a say, and change over to what wins there.
+
+        Args:
+            frame: the frame that is looked at.
+            score: of what is followed.
+            value: the confidence in it.
+
+        Returns:
+            The confidence in what is followed from now on.
+        """
+        contest, limits = self._contest, self.spec.calibration
+        if contest is None:
+            return value
+        around = contest.place
+        scores, boxes = self.engine.search(self._region(frame, around, self._buffer), self._kernels)
+        scores = hidden(scores, boxes, around, self._target, self.spec.search_size, self.spec.template_size)
+        found, apart = self._read(around, scores, boxes)
+        rival = confidence(found.score, apart, limits)
+        won = contest.judge(found.target, rival >= limits.regain_above, found.score - score)
+        if won:
+            self._target = self._seen = dataclasses.replace(around, cx=found.target.cx, cy=found.target.cy)
+            self._velocity = contest.velocity
+        if won or contest.looks_left == 0:
+            self._contest = None
+        return rival if won else value
 
     def _where_to_look(self, frame_shape: tuple[int, ...]) -> Target:
         """The target's place; while lost also, by turns, where it was seen last, and a region about it that grows."""
