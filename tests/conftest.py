@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import os
 
 # Before torch is imported: the networks here are so small that threads cost more than they give.
@@ -121,7 +122,13 @@ def _measure(crop: Image) -> tuple[float, float, float, float] | None:
 def blob_engine(monkeypatch: pytest.MonkeyPatch) -> BlobEngine:
     """Every tracker that is built in this test runs on this engine."""
     engine = BlobEngine()
-    monkeypatch.setattr("psiamfcpp.tracking.tracker.open_engine", lambda *_: engine)
+
+    def open_engine(model: str, name: str | None, threads: int | None, search_size: int | None) -> BlobEngine:
+        if search_size is not None:
+            engine.spec = dataclasses.replace(engine.spec, search_size=search_size)
+        return engine
+
+    monkeypatch.setattr("psiamfcpp.tracking.tracker.open_engine", open_engine)
     return engine
 
 

@@ -169,6 +169,11 @@ def test_calibrate_stores_limits_in_a_copy(
     assert "2 clips" in run(*command, "--half").out
     assert output.stat().st_size < 0.75 * len(before)
     assert load(output).spec.widths == load(tiny_model).spec.widths
+    # the size of the search crop is the model's own, or the one asked for
+    assert described["search_size"] == load(tiny_model).spec.search_size != 271
+    assert run(*command, "--search-size", 271).code == 0
+    assert load(output).spec.search_size == 271
+    assert {s.shape[0] for s in blob_engine.searches[-10:]} == {271}
 
 
 def test_calibrate_refuses(run: Run, tiny_model: Path, tmp_path: Path, blob_sequence: Sequences) -> None:

@@ -22,6 +22,7 @@ def calibrate(
     data: Path,
     output: Annotated[Path, tyro.conf.arg(aliases=["-o"])],
     constants: TrackingConstants = TrackingConstants(),  # noqa: B008 - frozen
+    search_size: int | None = None,
     held_out_every: int = 8,
     half: bool = False,
     json: bool = False,
@@ -33,6 +34,7 @@ def calibrate(
         data: folder of sequences.
         output: checkpoint to write, .safetensors.
         constants: of the tracking procedure, to calibrate with and to store; the authors' where not given.
+        search_size: side of the search crop in pixels, to calibrate with and to store; by default the model's own.
         held_out_every: use only the clips that training with this value kept out; 1 uses all.
         half: store the weights in half precision, for sharing.
         json: print one JSON object.
@@ -45,13 +47,14 @@ def calibrate(
     if len(clips) < 2:
         raise UserError(f"{data} holds {len(clips)} clips kept out by {held_out_every}: at least two are needed")
     notes.print(f"looking at {len(clips)} clips")
-    tracker = Tracker(model, plain=True)
+    tracker = Tracker(model, search_size=search_size, plain=True)
     tracker.spec = dataclasses.replace(tracker.spec, constants=constants)
     looks = gather(tracker, clips)
     calibration, rates = fit(looks), cross_rates(looks)
     network = load(model)
     network.spec = dataclasses.replace(
         network.spec,
+        search_size=tracker.spec.search_size,
         constants=constants,
         calibration=calibration,
         provenance={**network.spec.provenance, "calibration": dataclasses.asdict(rates)},
