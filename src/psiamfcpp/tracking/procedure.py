@@ -121,8 +121,9 @@ def hidden(
     """
     scale = template_size / context_side(around.w, around.h)
     middle = search_size // 2
-    dx = (boxes[..., 0] + boxes[..., 2]) / 2 - middle - (seen.cx - around.cx) * scale
-    dy = (boxes[..., 1] + boxes[..., 3]) / 2 - middle - (seen.cy - around.cy) * scale
+    cx, cy = _centres(boxes)
+    dx = cx - middle - (seen.cx - around.cx) * scale
+    dy = cy - middle - (seen.cy - around.cy) * scale
     inside = (np.abs(dx) < seen.w * scale / 2) & (np.abs(dy) < seen.h * scale / 2)
     return np.where(inside, 0, scores)
 
@@ -136,10 +137,14 @@ def contrast(scores: FloatMap, boxes: FloatMap, cell: tuple[int, int]) -> float:
         cell: row and column of the peak.
     """
     x0, y0, x1, y1 = boxes[cell]
-    cx, cy = (boxes[..., 0] + boxes[..., 2]) / 2, (boxes[..., 1] + boxes[..., 3]) / 2
+    cx, cy = _centres(boxes)
     apart = (cx < x0) | (cx > x1) | (cy < y0) | (cy > y1)
     rest = float(scores[apart].max()) if apart.any() else 0.0
     return math.log((float(scores[cell]) + 1e-3) / (rest + 1e-3))
+
+
+def _centres(boxes: FloatMap) -> tuple[FloatMap, FloatMap]:
+    return (boxes[..., 0] + boxes[..., 2]) / 2, (boxes[..., 1] + boxes[..., 3]) / 2
 
 
 def _change(ratio: FloatMap) -> FloatMap:
