@@ -38,7 +38,7 @@ def first_maps() -> tuple[torch.Tensor, ...]:
     generator = torch.Generator().manual_seed(0)
     with torch.no_grad():
         template = network.template(torch.rand(8, 3, 127, 127, generator=generator) * 255)
-        return network.maps(torch.rand(8, 3, 239, 239, generator=generator) * 255, template)
+        return network.maps(network.backbone(torch.rand(8, 3, 239, 239, generator=generator) * 255), template)
 
 
 def test_the_class_starts_at_a_hundredth(first_maps):

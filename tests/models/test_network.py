@@ -165,8 +165,8 @@ def test_a_frozen_network_says_the_same(make_network, crops):
         bn.running_mean.normal_()
         bn.running_var.uniform_(0.5, 2)
     z, x = crops(2, 127, 1), crops(2, 239, 2)
-    free, frozen = network.maps(x, network.template(z)), network.requires_grad_(False)
-    for a, b in zip(free, frozen.maps(x, frozen.template(z)), strict=True):
+    free, frozen = network.maps(network.backbone(x), network.template(z)), network.requires_grad_(False)
+    for a, b in zip(free, frozen.maps(frozen.backbone(x), frozen.template(z)), strict=True):
         torch.testing.assert_close(a, b, rtol=1e-4, atol=1e-4)
 
 
@@ -202,7 +202,7 @@ def test_distances_are_eight_times_the_exponential_of_the_offsets(make_network, 
         network.head.reg_offsets.bn.bias.copy_(torch.tensor([0.0, math.log(2), math.log(3), 100.0]))
         network.head.si.fill_(si)
         network.head.bi.fill_(bi)
-        _, _, distances = network.maps(crops(1, 191), network.template(crops(1, 127)))
+        _, _, distances = network.maps(network.backbone(crops(1, 191)), network.template(crops(1, 127)))
     torch.testing.assert_close(distances, torch.tensor(expected).expand(1, 3, 3, 4))
 
 
@@ -210,7 +210,7 @@ def test_distances_are_eight_times_the_exponential_of_the_offsets(make_network, 
 def test_scores_are_the_product_of_two_probabilities(make_network, crops):
     network = make_network()
     kernels = network.template(crops(2, 127))
-    cls, centerness, _ = network.maps(crops(2, 303), kernels)
+    cls, centerness, _ = network.maps(network.backbone(crops(2, 303)), kernels)
     scores, _ = network.search(crops(2, 303), kernels)
     torch.testing.assert_close(scores, 1 / ((1 + torch.exp(-cls)) * (1 + torch.exp(-centerness))))
     assert 0 <= scores.min() < scores.max() <= 1

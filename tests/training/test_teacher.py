@@ -15,9 +15,10 @@ import torch
 from psiamfcpp.datasets import Sequence
 from psiamfcpp.errors import UserError
 from psiamfcpp.models import load, save
+from psiamfcpp.models.network import Maps
 from psiamfcpp.training.loop import PairLoss, train
 from psiamfcpp.training.options import LossWeights, PairOptions, TeacherOptions, TrainOptions
-from psiamfcpp.training.teacher import Maps, open_teacher, teacher_loss
+from psiamfcpp.training.teacher import Answer, feature_loss, open_teacher, teacher_loss
 from psiamfcpp.training.validation import held_out_batches
 
 from .test_loop import RUN, network, options, weights
@@ -90,6 +91,30 @@ def test_batches_without_a_target_have_a_finite_loss() -> None:
     assert all(torch.isfinite(m.grad).all() for m in mine)  # type: ignore[arg-type]
 
 
+def seen(template: Any, search: Any) -> Answer:
+    """Features of one channel in two crops each."""
+    shaped = (torch.tensor(values, dtype=torch.float32).reshape(2, 1, 1, -1) for values in (template, search))
+    return Answer(*shaped, maps(0, 0, 10))
+
+
+@pytest.mark.parametrize(
+    ("mine", "expected"),
+    [
+        (seen([1, 3, 1, 3], [0, 0, 8, 8]), 0),
+        (seen([2, 2, 2, 2], [4, 4, 4, 4]), 1),
+        # Off by 1 where the variance is 1, in templates alone; by 2 where it is 16, in search crops alone.
+        (seen([2, 4, 2, 4], [0, 0, 8, 8]), 1 / 2),
+        (seen([1, 3, 1, 3], [2, 2, 10, 10]), 4 / 16 / 2),
+    ],
+)
+def test_features_are_compared_in_units_of_their_variance(mine: Answer, expected: float) -> None:
+    assert feature_loss(mine, seen([1, 3, 1, 3], [0, 0, 8, 8])).item() == pytest.approx(expected)
+
+
+def test_features_that_never_vary_give_a_finite_loss() -> None:
+    assert math.isfinite(feature_loss(seen([1, 1], [2, 2]), seen([1, 1], [2, 3])).item())
+
+
 @pytest.fixture
 def taught(scenes: list[Sequence], tmp_path: Path) -> Any:
     """Runs training with a wider network as teacher."""
@@ -147,20 +172,29 @@ def test_the_total_holds_the_weighted_term(scenes: list[Sequence], tmp_path: Pat
     save(tmp_path / "teacher.safetensors", network(9))
     teacher = open_teacher(str(tmp_path / "teacher.safetensors"), torch.device("cpu"))
     (batch,) = held_out_batches(scenes, PairOptions(search_size=191, augmentation=0.0), 4, 4)
-    parts = PairLoss(network().eval(), LossWeights(1, 1, 3), teacher, 0.5)(batch)
-    wanted = parts["cls"] + parts["centerness"] + 3 * parts["iou"] + 0.5 * parts["teacher"]
-    assert parts["total"].item() == pytest.approx(wanted.item(), rel=1e-5)
-    assert "teacher" not in PairLoss(network().eval(), LossWeights())(batch)
+    labels = {"cls": 1, "centerness": 1, "iou": 3}
+    for taught, shares in (
+        (TeacherOptions("x", 0.5), {**labels, "teacher": 0.5}),
+        (TeacherOptions("x", 0.5, 2.0), {**labels, "teacher": 0.5, "features": 2}),
+    ):
+        parts = PairLoss(network(9).eval(), LossWeights(1, 1, 3), teacher, taught)(batch)
+        assert parts.keys() == {*shares, "total"}
+        assert parts["total"].item() == pytest.approx(sum(w * parts[k].item() for k, w in shares.items()), rel=1e-5)
+    assert PairLoss(network().eval(), LossWeights())(batch).keys() == {*labels, "total"}
 
 
-def test_runs_from_before_there_were_teachers_go_on(scenes: list[Sequence], tmp_path: Path) -> None:
+@pytest.mark.parametrize("kept", ["teacher", "nothing"])
+def test_runs_from_before_there_were_such_options_go_on(scenes: list[Sequence], tmp_path: Path, kept: str) -> None:
     chosen, folder = options(4), tmp_path / "run"
     killed = train(network(), scenes[4:], [], folder, chosen, dataclasses.replace(RUN, save_every=2))
     next(killed)
     killed.close()
     state = torch.load(folder / "state.pt", weights_only=True)
     old = json.loads(state["options"])
-    del old["teacher"]
+    if "teacher" in kept:
+        del old["teacher"]["teacher_features"]
+    else:
+        del old["teacher"]
     torch.save({**state, "options": json.dumps(old)}, folder / "state.pt")
     other = dataclasses.replace(chosen, teacher=TeacherOptions("siamfcpp-alexnet"))
     with pytest.raises(UserError, match="other options"):
@@ -176,3 +210,28 @@ def test_teachers_that_are_none_are_refused_before_anything_is_made(scenes: list
     for bad in (-1.0, math.nan, math.inf):
         with pytest.raises(UserError, match="teacher-weight"):
             TeacherOptions("x", bad)
+        with pytest.raises(UserError, match="teacher-features"):
+            TeacherOptions("x", teacher_features=bad)
+    with pytest.raises(UserError, match="needs --teacher"):
+        TeacherOptions(teacher_features=1.0)
+
+
+def test_features_of_another_width_are_refused(scenes: list[Sequence], tmp_path: Path) -> None:
+    save(tmp_path / "teacher.safetensors", network(9))
+    taught = TeacherOptions(str(tmp_path / "teacher.safetensors"), teacher_features=1.0)
+    with pytest.raises(UserError, match="6 here, 9 of the teacher"):
+        next(train(network(), scenes, [], tmp_path / "run", dataclasses.replace(options(2), teacher=taught), RUN))
+
+
+def test_a_backbone_comes_nearer_to_its_teachers_features(scenes: list[Sequence], tmp_path: Path) -> None:
+    path = tmp_path / "teacher.safetensors"
+    model = network()
+    save(path, model)
+    with torch.no_grad():
+        model.backbone.conv5.conv.weight.add_(torch.randn_like(model.backbone.conv5.conv.weight) * 0.05)
+    plain = PairOptions(search_size=191, augmentation=0.0)
+    nothing = LossWeights(cls_weight=0, centerness_weight=0, iou_weight=0)
+    chosen = options(100, lr=5e-3, batch=4, pairs=plain, ema=0.0, losses=nothing)
+    chosen = dataclasses.replace(chosen, teacher=TeacherOptions(str(path), 0.0, 1.0))
+    first, last = train(model, scenes, [], tmp_path / "run", chosen, RUN)
+    assert last["features"] < 0.7 * first["features"]

@@ -113,7 +113,7 @@ def _line(row: dict[str, Any], steps: int) -> str:
     text = (
         f"step {row['step']}/{steps}  loss {row['total']:.3f} (cls {row['cls']:.3f}, centre {row['centerness']:.3f}, "
     )
-    text += f"iou {row['iou']:.3f}" + (f", teacher {row['teacher']:.3f}" if "teacher" in row else "")
+    text += f"iou {row['iou']:.3f}" + "".join(f", {k} {row[k]:.3f}" for k in ("teacher", "features") if k in row)
     text += f")  {row['pairs_per_s']:.1f} pairs/s"
     if "validation" in row:
         v = row["validation"]

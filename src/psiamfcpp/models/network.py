@@ -13,6 +13,7 @@ from torch.nn.utils.fusion import fuse_conv_bn_weights
 from psiamfcpp.spec import STRIDE, ModelSpec, first_cell
 
 Kernels = tuple[Tensor, Tensor]
+Maps = tuple[Tensor, Tensor, Tensor]
 
 
 class ConvBlock(nn.Module):
@@ -90,7 +91,7 @@ class Head(nn.Module):
         self.si = nn.Parameter(torch.tensor(1.0))
         self.bi = nn.Parameter(torch.tensor(0.0))
 
-    def forward(self, cls: Tensor, reg: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    def forward(self, cls: Tensor, reg: Tensor) -> Maps:
         """Logits ``(B, N, N)`` of class and centre-ness, and distances ``(B, N, N, 4)`` in pixels."""
         cls = self.cls3(self.cls2(self.cls1(cls)))
         reg = self.reg3(self.reg2(self.reg1(reg)))
@@ -119,7 +120,10 @@ class SiamFCpp(nn.Module):
         Returns:
             ``cls_kernel`` and ``reg_kernel``, each ``(B, C, 4, 4)``.
         """
-        features = self.backbone(z)
+        return self.kernels(self.backbone(z))
+
+    def kernels(self, features: Tensor) -> Kernels:
+        """`template`, from the backbone's features on."""
         return self.neck.cls_template(features), self.neck.reg_template(features)
 
     def search(self, x: Tensor, kernels: Kernels) -> tuple[Tensor, Tensor]:
@@ -133,12 +137,15 @@ class SiamFCpp(nn.Module):
             scores ``(B, N, N)``, 0..1: sigmoid(class) times sigmoid(centre-ness); boxes ``(B, N, N, 4)`` as
             x0, y0, x1, y1 in pixels of the crop.
         """
-        cls, centerness, distances = self.maps(x, kernels)
+        cls, centerness, distances = self.maps(self.backbone(x), kernels)
         return torch.sigmoid(cls) * torch.sigmoid(centerness), to_boxes(distances, x.shape[-1])
 
-    def maps(self, x: Tensor, kernels: Kernels) -> tuple[Tensor, Tensor, Tensor]:
-        """What the losses need: class and centre-ness logits ``(B, N, N)``, distances l, t, r, b ``(B, N, N, 4)``."""
-        features = self.backbone(x)
+    def maps(self, features: Tensor, kernels: Kernels) -> Maps:
+        """What the losses need, from the backbone's features on.
+
+        Returns:
+            Class and centre-ness logits ``(B, N, N)``, distances l, t, r, b ``(B, N, N, 4)`` in pixels of the crop.
+        """
         cls_kernel, reg_kernel = kernels
         cls = depthwise_correlation(self.neck.cls_search(features), cls_kernel)
         reg = depthwise_correlation(self.neck.reg_search(features), reg_kernel)

@@ -26,34 +26,43 @@ from psiamfcpp.training.losses import losses
 from psiamfcpp.training.options import LossWeights, RunOptions, TeacherOptions, TrainOptions
 from psiamfcpp.training.pairs import PairSampler
 from psiamfcpp.training.targets import assign
-from psiamfcpp.training.teacher import Teacher, open_teacher, teacher_loss
+from psiamfcpp.training.teacher import Teacher, answer, feature_loss, open_teacher, teacher_loss
 from psiamfcpp.training.validation import held_out_batches, pair_score
 
 STATE_FILE = "state.pt"
 LOG_FILE = "log.jsonl"
 MODEL_FILE = "model.safetensors"
+_ALONE = TeacherOptions()
 
 
 class PairLoss(nn.Module):
     """The network with its losses in one forward pass, which is the form that DDP wraps."""
 
     def __init__(
-        self, model: SiamFCpp, weights: LossWeights, teacher: Teacher | None = None, teacher_weight: float = 1.0
+        self,
+        model: SiamFCpp,
+        weights: LossWeights,
+        teacher: Teacher | None = None,
+        taught: TeacherOptions = _ALONE,
     ):
         super().__init__()
         self.model = model
         self._weights = weights
         self._teacher = teacher
-        self._teacher_weight = teacher_weight
+        self._taught = taught
 
     def forward(self, batch: Batch) -> dict[str, Tensor]:
         """The losses of a batch."""
-        maps = self.model.maps(batch.search_input(), self.model.template(batch.template_input()))
-        targets = assign(batch.corners, batch.present, batch.search.shape[1], maps[0].shape[1])
-        parts = losses(maps, targets, self._weights)
+        found = answer(self.model, batch)
+        targets = assign(batch.corners, batch.present, batch.search.shape[1], found.maps[0].shape[1])
+        parts = losses(found.maps, targets, self._weights)
         if self._teacher:
-            parts["teacher"] = teacher_loss(maps, self._teacher(batch), targets.positive)
-            parts["total"] = parts["total"] + self._teacher_weight * parts["teacher"]
+            wanted = self._teacher(batch)
+            parts["teacher"] = teacher_loss(found.maps, wanted.maps, targets.positive)
+            parts["total"] = parts["total"] + self._taught.teacher_weight * parts["teacher"]
+            if self._taught.teacher_features:
+                parts["features"] = feature_loss(found, wanted)
+                parts["total"] = parts["total"] + self._taught.teacher_features * parts["features"]
         return parts
 
 
@@ -207,7 +216,7 @@ def _thaw(
     model.backbone.eval()
     for name, layer in model.backbone.named_children():
         layer.requires_grad_(name in free)
-    loss = PairLoss(model, options.losses, teacher, options.teacher.teacher_weight)
+    loss = PairLoss(model, options.losses, teacher, options.teacher)
     return nn.parallel.DistributedDataParallel(loss) if ranks > 1 else loss
 
 
@@ -270,8 +279,9 @@ def _resume(
     except Exception as error:  # a damaged pickle can fail in any way
         reason = (str(error) or type(error).__name__).splitlines()[0]
         raise UserError(f"{path} cannot be read ({reason}): remove it to begin the run anew") from None
-    # Runs begun before networks could have teachers say nothing of them.
-    before = {"teacher": dataclasses.asdict(TeacherOptions()), **json.loads(state["options"])}
+    # Runs begun before networks could have teachers, or learn their features, say nothing of them.
+    before = json.loads(state["options"])
+    before["teacher"] = {**dataclasses.asdict(TeacherOptions()), **before.get("teacher", {})}
     if before != json.loads(json.dumps(dataclasses.asdict(options))):
         raise UserError(f"{path} belongs to a run with other options: use another output folder, or remove it")
     if {k: v.shape for k, v in state["model"].items()} != {k: v.shape for k, v in model.state_dict().items()}:

@@ -100,11 +100,16 @@ class TeacherOptions:
     """model whose scores and boxes to learn as well: a shipped model's name, or a file; for a pruned network normally
     the one that it was cut from"""
     teacher_weight: float = 1.0
-    """weight of what the teacher says against the labels' losses"""
+    """weight of the teacher's scores and boxes against the labels' losses"""
+    teacher_features: float = 0.0
+    """weight of the teacher's backbone features, likewise; the network's must be as many"""
 
     def __post_init__(self) -> None:
-        if not 0 <= self.teacher_weight < math.inf:
-            raise UserError(f"teacher-weight is {self.teacher_weight:g}: it must be a number from 0 up")
+        for name in ("teacher_weight", "teacher_features"):
+            if not 0 <= getattr(self, name) < math.inf:
+                raise UserError(f"{name.replace('_', '-')} is {getattr(self, name):g}: it must be a number from 0 up")
+        if self.teacher_features and not self.teacher:
+            raise UserError("teacher-features needs --teacher")
 
 
 @dataclass(frozen=True)

@@ -1,23 +1,43 @@
-"""Learning from another network's maps, for a pruned one normally the network that it was cut from."""
+"""Learning from another network's maps and features, for a pruned one normally the network that it was cut from."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import NamedTuple
 
 import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from psiamfcpp.errors import UserError
 from psiamfcpp.models import load
+from psiamfcpp.models.network import Maps, SiamFCpp
 from psiamfcpp.training.batches import Batch
 from psiamfcpp.training.losses import iou
 
-Maps = tuple[Tensor, Tensor, Tensor]
-Teacher = Callable[[Batch], Maps]
+
+class Answer(NamedTuple):
+    """What a network makes of a batch."""
+
+    template: Tensor
+    """the backbone's features of the template crops"""
+    search: Tensor
+    """and of the search crops"""
+    maps: Maps
+    """class and centre-ness logits and distances, as of `SiamFCpp.maps`"""
+
+
+Teacher = Callable[[Batch], Answer]
+
+
+def answer(model: SiamFCpp, batch: Batch) -> Answer:
+    """One pass of a batch."""
+    template, search = model.backbone(batch.template_input()), model.backbone(batch.search_input())
+    return Answer(template, search, model.maps(search, model.kernels(template)))
 
 
 def open_teacher(path_or_name: str, device: torch.device) -> Teacher:
-    """A function from a batch to the maps, as of `SiamFCpp.maps`, that a model gives for it.
+    """A function from a batch to what a model makes of it.
 
     Raises:
         UserError: no such model.
@@ -26,10 +46,10 @@ def open_teacher(path_or_name: str, device: torch.device) -> Teacher:
     model.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
 
     @torch.no_grad()
-    def maps(batch: Batch) -> Maps:
-        return model.maps(batch.search_input(), model.template(batch.template_input()))
+    def teacher(batch: Batch) -> Answer:
+        return answer(model, batch)
 
-    return maps
+    return teacher
 
 
 def teacher_loss(maps: Maps, wanted: Maps, positive: Tensor) -> Tensor:
@@ -58,3 +78,23 @@ def _divergence(logits: Tensor, taught: Tensor) -> Tensor:
     chance = torch.sigmoid(taught)
     cross = F.binary_cross_entropy_with_logits(logits, chance, reduction="none")
     return cross - F.binary_cross_entropy_with_logits(taught, chance, reduction="none")
+
+
+def feature_loss(found: Answer, wanted: Answer) -> Tensor:
+    """How far a network's features are from its teacher's: squared distance over variance, the mean of both crops.
+
+    It is 0 where they are equal and 1 where a network gives each channel's mean alone. (Romero et al. 2015, FitNets,
+    without the layer between: the paper's plan leaves the backbone's last layer whole.)
+
+    Raises:
+        UserError: the two have features of different widths.
+    """
+    widths = found.search.shape[1], wanted.search.shape[1]
+    if widths[0] != widths[1]:
+        raise UserError(f"teacher-features needs equally many features: {widths[0]} here, {widths[1]} of the teacher")
+    shares = []
+    for mine, taught in ((found.template, wanted.template), (found.search, wanted.search)):
+        taught = taught.float()
+        spread = (taught - taught.mean(dim=(0, 2, 3), keepdim=True)).square().mean()
+        shares.append((mine.float() - taught).square().mean() / spread.clamp(min=1e-12))
+    return (shares[0] + shares[1]) / 2
