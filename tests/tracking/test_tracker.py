@@ -220,6 +220,26 @@ def test_what_was_taken_up_elsewhere_gives_way_to_a_better_find_at_the_expected_
     assert [centre_error(t.box, START) < 1.5 for t in tracks[4:]] == [changed] * 6
 
 
+def test_what_was_taken_up_elsewhere_and_lost_again_has_no_rival_any_more(blob_engine: Any, blob_frame: Draw) -> None:
+    other = (230, 170, 40, 30)
+    tracker = begun(blob_frame)
+
+    def looks(frame: Any) -> int:
+        before = len(blob_engine.searches)
+        tracker.update(frame)
+        return len(blob_engine.searches) - before
+
+    for _ in range(LOST_AFTER):
+        tracker.update(blob_frame(None))
+    while looks(blob_frame(other)) == 1:
+        pass
+    assert looks(blob_frame(other)) == 2
+    assert {looks(blob_frame(None)) for _ in range(LOST_AFTER)} == {1}
+    # where it vanished it is expected, and may come back at once
+    assert [looks(blob_frame(other)) for _ in range(5)] == [1] * 5
+    assert tracker.update(blob_frame(other)).state == "tracking"
+
+
 def test_a_lost_target_is_not_looked_for_outside_the_frame(blob_engine: Any, blob_frame: Draw) -> None:
     tracker = begun(blob_frame, (0, 0, 40, 30))
     for _ in range(100):
