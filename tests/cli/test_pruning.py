@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import torch
 
 from psiamfcpp.models import load
 from psiamfcpp.spec import FULL_WIDTHS
@@ -76,6 +77,24 @@ def test_rank_plan_prune_and_follow(run: Run, tiny_model: Path, clips: Path, tmp
     (step,) = described["provenance"]["pruning"]
     assert step["from"] == tiny_model.name and step["plan"] == "plan.json"
     assert run("evaluate", "--root", clips, "--tracker", pruned, "--json").code == 0
+
+    fitted = tmp_path / "fitted.safetensors"
+    prune = ("prune", tiny_model, "--plan", plan, "--data", f"folder:{clips}")
+    again = run(*prune, "-o", fitted, "--images", 3, "--json")
+    assert (again.code, again.err) == (0, "")
+    assert json.loads(again.out) == facts
+    (step,) = json.loads(run("info", fitted, "--json").out)["provenance"]["pruning"]
+    assert step["refit"] == {"data": [f"folder:{clips.name}"], "images": 3, "seed": 0}
+    old, new = load(pruned).state_dict(), load(fitted).state_dict()
+    # conv2 was the first to be cut, so conv3 is the first that has something to make up for
+    assert [
+        torch.equal(old[f"backbone.conv{i}.conv.weight"], new[f"backbone.conv{i}.conv.weight"]) for i in (2, 3)
+    ] == [
+        True,
+        False,
+    ]
+    assert "images is 0" in run(*prune, "-o", tmp_path / "none.safetensors", "--images", 0).refused()
+    assert not (tmp_path / "none.safetensors").exists()
 
 
 def test_ranking_goes_on_after_a_kill_and_with_more_images(

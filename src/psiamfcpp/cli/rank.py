@@ -6,7 +6,7 @@ import dataclasses
 import hashlib
 import json as json_module
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     from psiamfcpp.pruning.groups import Group
     from psiamfcpp.pruning.ranking import Looked
     from psiamfcpp.pruning.table import GroupRanks, RankTable
-    from psiamfcpp.training.batches import Batch
     from psiamfcpp.training.pairs import PairSampler
 
 _SAVE_SECONDS = 15.0
@@ -58,22 +57,26 @@ def rank(
     if output.suffix in (".png", ".npz") or not output.parent.is_dir():
         raise UserError(f"output {output} must be a .json file in a folder that exists")
     from psiamfcpp.models import load
+    from psiamfcpp.pruning.crops import plain_pairs
     from psiamfcpp.pruning.groups import siamfcpp_groups
     from psiamfcpp.pruning.plot import draw_ranks
     from psiamfcpp.pruning.ranking import table
     from psiamfcpp.pruning.record import stability
-    from psiamfcpp.training.options import PairOptions
-    from psiamfcpp.training.pairs import PairSampler
 
     network = load(model)
     size = network.spec.search_size
     sequences = [s for entry in data for s in datasets.read_entry(entry)]
-    sampler = PairSampler(sequences, PairOptions(search_size=size, augmentation=0.0), seed, cache_bytes=10**9)
+    pairs = plain_pairs(sequences, size, seed)
     groups = siamfcpp_groups(network.spec.widths)
-    about = {"model": Path(model).stem, "data": [_named(entry) for entry in data], "seed": seed, "search_size": size}
+    about = {
+        "model": Path(model).stem,
+        "data": [datasets.named(entry) for entry in data],
+        "seed": seed,
+        "search_size": size,
+    }
     state = output.with_suffix(".npz")
     key = json_module.dumps({**about, "weights": _digest(model), "targets": len(sequences)}, sort_keys=True)
-    looks = _look(network, groups, sampler, images, batch, state, key)
+    looks = _look(network, groups, pairs, images, batch, state, key)
     ranks = table(network, groups, looks)
     ranks = dataclasses.replace(ranks, about={**about, **ranks.about, "stability": stability(looks)})
     ranks.write(output)
@@ -88,13 +91,14 @@ def rank(
 def _look(
     network: SiamFCpp,
     groups: Mapping[str, Group],
-    sampler: PairSampler,
+    pairs: PairSampler,
     images: int,
     batch: int,
     state: Path,
     key: str,
 ) -> list[dict[str, Looked]]:
     """Ranks of so many pairs, image by image, taken up from the state file and kept in it."""
+    from psiamfcpp.pruning.crops import batches
     from psiamfcpp.pruning.ranking import look
     from psiamfcpp.pruning.record import load_looks, save_looks
 
@@ -106,9 +110,7 @@ def _look(
     with progress() as bar:
         task = bar.add_task("pairs of crops", total=max(images, done), completed=done)
         try:
-            starts = range(done, images, batch)
-            inputs = ((b.template_input(), b.search_input()) for b in _batches(sampler, starts, images))
-            for seen in look(network, inputs, groups):
+            for seen in look(network, batches(pairs, done, images, batch), groups):
                 looks.append(seen)
                 bar.update(task, completed=_count(looks))
                 if time.monotonic() - saved > _SAVE_SECONDS:
@@ -120,20 +122,8 @@ def _look(
     return looks
 
 
-def _batches(sampler: PairSampler, starts: range, end: int) -> Iterator[Batch]:
-    from psiamfcpp.training.batches import collate
-
-    for start in starts:
-        yield collate([sampler.pair(i) for i in range(start, min(start + starts.step, end))])
-
-
 def _count(looks: list[dict[str, Looked]]) -> int:
     return sum(len(next(iter(seen.values())).ranks[0]) for seen in looks)
-
-
-def _named(entry: str) -> str:
-    kind, _, folder = entry.partition(":")
-    return f"{kind}:{Path(folder).name}"
 
 
 def _digest(model: str) -> str:

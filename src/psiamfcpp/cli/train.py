@@ -91,7 +91,7 @@ def _provenance(
     """What is known of the model's making: the stages before, and this one."""
     stage = {
         "init": init.name,
-        "data": [f"{kind}:{Path(folder).name}" for kind, _, folder in (entry.partition(":") for entry in data)],
+        "data": [datasets.named(entry) for entry in data],
         "options": _described(options),
         "version": __version__,
     }

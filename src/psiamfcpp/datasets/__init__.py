@@ -14,7 +14,7 @@ from psiamfcpp.datasets.benchmarks import BENCHMARKS, Benchmark, BenchmarkName
 from psiamfcpp.datasets.sequence import Sequence
 from psiamfcpp.errors import UserError
 
-__all__ = ["BENCHMARKS", "READERS", "Benchmark", "BenchmarkName", "Sequence", "read", "read_entry"]
+__all__ = ["BENCHMARKS", "READERS", "Benchmark", "BenchmarkName", "Sequence", "named", "read", "read_entry"]
 
 READERS: dict[str, Callable[[Path], list[Sequence]]] = {
     "folder": folder.read,
@@ -50,3 +50,9 @@ def read_entry(entry: str) -> list[Sequence]:
     if not colon:
         raise UserError(f"data {entry!r} is not LAYOUT:FOLDER; layouts are {', '.join(READERS)}")
     return read(kind, Path(folder))
+
+
+def named(entry: str) -> str:
+    """A dataset given as ``LAYOUT:FOLDER`` as a model's provenance names it: without where the folder lies."""
+    kind, _, folder = entry.partition(":")
+    return f"{kind}:{Path(folder).name}"
