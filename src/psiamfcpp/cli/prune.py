@@ -85,7 +85,7 @@ def _refit(after: SiamFCpp, before: SiamFCpp, plan: Plan, data: tuple[str, ...],
     """The pruned network with weights fitted on so many pairs of crops."""
     from psiamfcpp.pruning.crops import batches, plain_pairs
     from psiamfcpp.pruning.groups import siamfcpp_groups
-    from psiamfcpp.pruning.refit import refit
+    from psiamfcpp.pruning.refitting import refit
 
     sequences = [s for entry in data for s in datasets.read_entry(entry)]
     pairs = plain_pairs(sequences, before.spec.search_size, seed)

@@ -3,7 +3,7 @@
 from psiamfcpp.pruning.groups import Group
 from psiamfcpp.pruning.planning import Plan, plan
 from psiamfcpp.pruning.ranking import rank
-from psiamfcpp.pruning.refit import refit
+from psiamfcpp.pruning.refitting import refit
 from psiamfcpp.pruning.surgery import prune
 from psiamfcpp.pruning.table import RankTable
 
