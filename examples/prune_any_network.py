@@ -8,7 +8,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor, nn
 
-from psiamfcpp.pruning import plan, prune, rank
+from psiamfcpp.pruning import plan, prune, rank, refit
 
 
 class Block(nn.Module):
@@ -44,7 +44,7 @@ class Net(nn.Module):
 
 
 def main() -> None:
-    """Rank, plan, prune, and say what became of it."""
+    """Rank, plan, prune, fit what is left, and say what became of it."""
     torch.manual_seed(0)
     network = Net().eval()
     # Yours would be images as the network sees them in use; a few hundred are enough for a steady order.
@@ -56,9 +56,11 @@ def main() -> None:
 
     half = plan(ranks, keep=dict.fromkeys(ranks.groups, 0.5))
     small = prune(network, images[0], half)
-    for title, model in (("before", network), ("after", small)):
-        print(f"{title:7} {sum(p.numel() for p in model.parameters()):,} parameters")
-    print("output ", tuple(small(images[0]).shape))
+    fitted = refit(small, network, half, images)
+    unseen = torch.rand(8, 3, 24, 24)
+    for title, model in (("before", network), ("pruned", small), ("fitted", fitted)):
+        off = (model(unseen) - network(unseen)).abs().mean()
+        print(f"{title:7} {sum(p.numel() for p in model.parameters()):,} parameters, outputs off by {off:.4f}")
 
 
 if __name__ == "__main__":

@@ -34,12 +34,12 @@ def refit(
     groups: Mapping[str, Group] | None = None,
     watch: Callable[[list[str]], Iterable[str]] = iter,
 ) -> Network:
-    """A copy of a pruned network whose convolutions put out, as nearly as they can, what they did in the original.
+    """A copy of a pruned network whose layers put out, as nearly as they can, what they did in the original.
 
     Layer by layer, in the order of a forward pass, weights and bias are fitted by least squares from the inputs that
     the layer has now to the outputs that the original's kept filters give, before BatchNorm (ridge regression towards
     the weights at hand). Later layers so make up for what earlier ones lost (He et al. 2017, Channel Pruning,
-    section 3.1). No labels are needed. Convolutions are fitted, other layers stay as they are.
+    section 3.1). No labels are needed. Convolutions (`nn.Conv2d`) and `nn.Linear` are fitted, others stay as they are.
 
     Args:
         pruned: what `prune` made of ``original`` by ``plan``.
@@ -57,8 +57,7 @@ def refit(
     # Blocks may fold a frozen BatchNorm into the convolution, whose own outputs would then not be seen.
     now, before = (copy.deepcopy(model).eval().requires_grad_(True) for model in (pruned, original))
     kept = _kept_filters(before, batches[0], plan, groups)
-    widths = {name: m.out_channels for name, m in now.named_modules() if isinstance(m, nn.Conv2d)}
-    if widths != {name: len(filters) for name, filters in kept.items()}:
+    if {name: len(layer.weight) for name, layer in _layers(now)} != {name: len(kept[name]) for name in kept}:
         raise UserError("the pruned network is not what the plan makes of the original: their widths differ")
     calls = _calls(now, batches[0])
     for name in watch(list(calls)):
@@ -68,30 +67,29 @@ def refit(
     return result
 
 
+def _layers(model: nn.Module) -> list[tuple[str, nn.Conv2d | nn.Linear]]:
+    """What can be fitted."""
+    return [(name, module) for name, module in model.named_modules() if isinstance(module, (nn.Conv2d, nn.Linear))]
+
+
 def _kept_filters(
     original: nn.Module, example: Any, plan: Plan, groups: Mapping[str, Group] | None
 ) -> dict[str, Tensor]:
-    """The numbers, in the original, of the filters that each convolution keeps: pruned with it, as its weights."""
+    """The numbers, in the original, of the filters that each layer keeps: pruned with it, as its weights."""
     marked = copy.deepcopy(original)
-    for module in marked.modules():
-        if isinstance(module, nn.Conv2d):
-            module.weight.copy_(torch.arange(module.out_channels).view(-1, 1, 1, 1).expand_as(module.weight))
-    marked = prune(marked, example, plan, groups)
-    return {n: m.weight[:, 0, 0, 0].long() for n, m in marked.named_modules() if isinstance(m, nn.Conv2d)}
+    for _, layer in _layers(marked):
+        layer.weight.transpose(0, -1).copy_(torch.arange(len(layer.weight)))
+    return {name: layer.weight.flatten(1)[:, 0].long() for name, layer in _layers(prune(marked, example, plan, groups))}
 
 
 def _calls(model: nn.Module, example: Any) -> dict[str, int]:
-    """How often a forward pass calls each convolution, in the order of the first calls."""
+    """How often a forward pass calls each layer, in the order of the first calls."""
     calls: dict[str, int] = {}
 
     def called(name: str) -> None:
         calls[name] = calls.get(name, 0) + 1
 
-    hooks = [
-        module.register_forward_hook(lambda *_, name=name: called(name))
-        for name, module in model.named_modules()
-        if isinstance(module, nn.Conv2d)
-    ]
+    hooks = [layer.register_forward_hook(lambda *_, name=name: called(name)) for name, layer in _layers(model)]
     try:
         _run(model, example)
     finally:
@@ -103,44 +101,47 @@ def _calls(model: nn.Module, example: Any) -> dict[str, int]:
 def _fit(now: nn.Module, before: nn.Module, name: str, kept: Tensor, batches: list[Any], calls: int) -> None:
     """Fit one layer, in place."""
     layer, taught = now.get_submodule(name), before.get_submodule(name)
-    assert isinstance(layer, nn.Conv2d) and isinstance(taught, nn.Conv2d)
+    assert isinstance(layer, (nn.Conv2d, nn.Linear))
+    groups = layer.groups if isinstance(layer, nn.Conv2d) else 1
     square, product = torch.zeros((), dtype=torch.float64), torch.zeros((), dtype=torch.float64)
-    for batch in batches:
-        targets = [output[:, kept] for _, output in _passes(before, taught, batch, calls)]
-        for (x, output), target in zip(_passes(now, layer, batch, calls), targets, strict=True):
-            if torch.allclose(output, target, rtol=1e-4, atol=1e-4 * float(target.std())):
-                continue  # nothing is lost so far: as before the first layer that was cut
+    for number, batch in enumerate(batches):
+        seen, wanted = _passes(now, layer, batch, calls), _passes(before, taught, batch, calls)
+        pairs = [(x, output, target[kept]) for (x, output), (_, target) in zip(seen, wanted, strict=True)]
+        if number == 0 and all(torch.allclose(o, t, rtol=1e-4, atol=1e-4 * float(t.std())) for _, o, t in pairs):
+            return  # nothing is lost so far: a layer before the first that was cut, or that one
+        for x, output, target in pairs:
             rows = _rows(layer, x)
-            error = (target - output).transpose(0, 1).reshape(layer.groups, layer.out_channels // layer.groups, -1)
+            error = (target - output).reshape(groups, len(output) // groups, -1)
             square = square + (rows @ rows.mT).double()
             product = product + (rows @ error.mT).double()
-    if square.ndim == 0:
-        return
     held = _RIDGE * square.diagonal(dim1=1, dim2=2).mean().clamp(min=1e-12)
     square.diagonal(dim1=1, dim2=2).add_(held)
-    change = torch.linalg.solve(square, product).mT.reshape(layer.out_channels, -1).to(layer.weight.dtype)
+    change = torch.linalg.solve(square, product).mT.reshape(len(layer.weight), -1).to(layer.weight.dtype)
     if layer.bias is not None:
         layer.bias += change[:, -1]
         change = change[:, :-1]
     layer.weight += change.reshape(layer.weight.shape)
 
 
-def _rows(layer: nn.Conv2d, x: Tensor) -> Tensor:
+def _rows(layer: nn.Conv2d | nn.Linear, x: Tensor) -> Tensor:
     """What the weights of a filter are multiplied by: ``(groups, weights, positions)``, with ones for the bias."""
-    mode = "constant" if layer.padding_mode == "zeros" else layer.padding_mode
-    x = F.pad(x, layer._reversed_padding_repeated_twice, mode)
-    seen = F.unfold(x, layer.kernel_size, layer.dilation, 0, layer.stride).transpose(0, 1)
-    rows = seen.reshape(layer.groups, len(seen) // layer.groups, -1)
+    if isinstance(layer, nn.Conv2d):
+        mode = "constant" if layer.padding_mode == "zeros" else layer.padding_mode
+        x = F.pad(x, layer._reversed_padding_repeated_twice, mode)
+        x = F.unfold(x, layer.kernel_size, layer.dilation, 0, layer.stride).transpose(0, 1)
+        rows = x.reshape(layer.groups, len(x) // layer.groups, -1)
+    else:
+        rows = x.reshape(1, -1, layer.in_features).mT
     return F.pad(rows, (0, 0, 0, 1), value=1.0) if layer.bias is not None else rows
 
 
 def _passes(model: nn.Module, layer: nn.Module, batch: Any, calls: int) -> list[tuple[Tensor, Tensor]]:
-    """Inputs and outputs of a layer, call by call."""
+    """Inputs of a layer and its outputs, these with filters first, call by call."""
     found: list[tuple[Tensor, Tensor]] = []
 
     def seen(_module: nn.Module, inputs: tuple[Tensor, ...], output: Tensor) -> None:
         # copies, since what comes next may write into them
-        found.append((inputs[0].clone(), output.clone()))
+        found.append((inputs[0].clone(), output.movedim(-1 if isinstance(layer, nn.Linear) else 1, 0).clone()))
         if len(found) == calls:
             raise _PassedError
 
