@@ -34,5 +34,9 @@ def test_a_pruned_model_learns_from_the_unpruned_one(
     assert spec.widths == widths
     assert spec.provenance["pruning"] == [{"plan": "x"}]
     (stage,) = spec.provenance["training"]
-    assert stage["options"]["teacher"] == {"teacher": tiny_model.name, "teacher_weight": 1.0}
+    assert stage["options"]["teacher"] == {
+        "teacher": tiny_model.name,
+        "teacher_weight": 1.0,
+        "teacher_features": 0.0,
+    }
     assert str(tmp_path) not in json.dumps(spec.provenance)
