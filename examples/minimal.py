@@ -57,13 +57,14 @@ class Minimal:
         window = np.outer(np.hanning(len(scores)), np.hanning(len(scores)))
         weight = constants["window_influence"]
         cell = np.unravel_index((penalty * scores * (1 - weight) + window * weight).argmax(), scores.shape)
-        x0, y0, x1, y1 = boxes[cell]
-        rate = constants["test_lr"] * penalty[cell] * scores[cell]
+        # as Python's floats, since float32 would round the place, and the next crop with it
+        x0, y0, x1, y1, found_w, found_h = (float(v) for v in (*boxes[cell], w[cell], h[cell]))
+        rate = constants["test_lr"] * float(penalty[cell]) * float(scores[cell])
         height, width = frame.shape[:2]
         self.cx = min(max(self.cx + ((x0 + x1) / 2 - size // 2) / scale, 0), width)
         self.cy = min(max(self.cy + ((y0 + y1) / 2 - size // 2) / scale, 0), height)
-        self.w = min(max(self.w + (w[cell] / scale - self.w) * rate, self.smallest), width)
-        self.h = min(max(self.h + (h[cell] / scale - self.h) * rate, self.smallest), height)
+        self.w = min(max(self.w + (found_w / scale - self.w) * rate, self.smallest), width)
+        self.h = min(max(self.h + (found_h / scale - self.h) * rate, self.smallest), height)
         return self.cx - (self.w - 1) / 2, self.cy - (self.h - 1) / 2, self.w, self.h
 
 

@@ -16,6 +16,7 @@ from psiamfcpp.geometry import Image
 from psiamfcpp.video.demo_clip import render
 from psiamfcpp.video.source import open_source
 from psiamfcpp.video.writer import VideoWriter
+from psiamfcpp.zoo import graph_folder
 
 SCRIPT = Path(__file__).parents[2] / "examples" / "minimal.py"
 # As if the package, and all that it does not need, were not installed.
@@ -52,6 +53,23 @@ def test_it_gives_the_boxes_of_the_package(
     found = np.array([[float(v) for v in line.split(",")] for line in done.stdout.splitlines()])
     assert found.shape == (11, 4)
     assert_allclose(found, expected, atol=0.02)
+
+
+def test_not_even_where_boxes_hang_on_single_roundings_do_they_part() -> None:
+    # The graphs in 8 bits, and a piece of ground as target: what differs in the last digit differs by pixels soon.
+    sys.path.insert(0, str(SCRIPT.parent))
+    try:
+        from minimal import Minimal  # type: ignore[import-not-found]
+    finally:
+        sys.path.pop(0)
+    name = "psiamfcpp-alexnet-s-int8"
+    minimal, tracker = Minimal(str(graph_folder(name))), Tracker(name, plain=True)
+    box = (120.0, 90.0, 60.0, 50.0)
+    first, *shots = (shot.image for shot in render(4, 40, (320, 192)))
+    minimal.init(first, box)
+    tracker.init(first, box)
+    for image in shots:
+        assert minimal.update(image) == pytest.approx(tracker.update(image).box, abs=1e-6)
 
 
 def test_it_is_short() -> None:
