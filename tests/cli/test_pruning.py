@@ -91,6 +91,7 @@ def test_rank_plan_prune_and_follow(run: Run, tiny_model: Path, clips: Path, tmp
     assert torch.equal(old[conv2], new[conv2]) and not torch.equal(old[conv3], new[conv3])
     assert "images is 0" in run(*prune, "-o", tmp_path / "none.safetensors", "--images", 0).refused()
     assert not (tmp_path / "none.safetensors").exists()
+    assert "no folder" in run(*prune, "-o", tmp_path / "missing" / "fitted.safetensors").refused()
 
 
 def test_ranking_goes_on_after_a_kill_and_with_more_images(

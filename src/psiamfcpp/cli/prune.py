@@ -52,6 +52,9 @@ def prune(
 
     if images < 1:
         raise UserError(f"images is {images}: it must be at least 1")
+    if not output.parent.is_dir():
+        # said before the minutes that fitting takes
+        raise UserError(f"output {output} cannot be written: there is no folder {output.parent}")
     chosen = Plan.read(plan)
     check_groups(chosen.keep, FULL_WIDTHS, f"plan {plan}")
     before = load(model)
