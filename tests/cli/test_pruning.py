@@ -84,11 +84,13 @@ def test_rank_plan_prune_and_follow(run: Run, tiny_model: Path, clips: Path, tmp
     assert (again.code, again.err) == (0, "")
     assert json.loads(again.out) == facts
     (step,) = json.loads(run("info", fitted, "--json").out)["provenance"]["pruning"]
-    assert step["refit"] == {"data": [f"folder:{clips.name}"], "images": 3, "seed": 0}
+    assert step["refit"] == {"data": [f"folder:{clips.name}"], "images": 3, "seed": 0, "held_out_every": 8}
     old, new = load(pruned).state_dict(), load(fitted).state_dict()
     # conv2 was the first to be cut, so conv3 is the first that has something to make up for
     conv2, conv3 = (f"backbone.conv{i}.conv.weight" for i in (2, 3))
     assert torch.equal(old[conv2], new[conv2]) and not torch.equal(old[conv3], new[conv3])
+    # every clip kept out leaves none to draw from
+    assert "no usable box" in run(*prune, "-o", tmp_path / "none.safetensors", "--held-out-every", 1).refused()
     assert "images is 0" in run(*prune, "-o", tmp_path / "none.safetensors", "--images", 0).refused()
     assert not (tmp_path / "none.safetensors").exists()
     assert "no folder" in run(*prune, "-o", tmp_path / "missing" / "fitted.safetensors").refused()

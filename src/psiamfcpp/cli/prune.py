@@ -10,6 +10,7 @@ import tyro
 
 from psiamfcpp import __version__, datasets
 from psiamfcpp.cli.output import print_json, progress
+from psiamfcpp.datasets.split import split
 from psiamfcpp.errors import UserError
 
 if TYPE_CHECKING:
@@ -26,6 +27,7 @@ def prune(
     data: tuple[str, ...] = (),
     images: int = 100,
     seed: int = 0,
+    held_out_every: int = 8,
     json: bool = False,
 ) -> None:
     """Cut a model down to the filters that a plan keeps; fine-tune what comes out with `psiamfcpp train --init`.
@@ -41,6 +43,7 @@ def prune(
         data: sets to draw crops from to fit weights with, each LAYOUT:FOLDER (an unknown layout lists the known ones).
         images: pairs of crops to fit with, drawn as by `psiamfcpp rank`.
         seed: of the draw.
+        held_out_every: one clip in so many, the same as in `psiamfcpp train`, is kept out of the draw; 0 is none.
         json: print one JSON object.
     """
     from psiamfcpp.models import load, save
@@ -61,8 +64,13 @@ def prune(
     after = prune_siamfcpp(before, chosen)
     step = {"from": Path(model).name, "plan": plan.name, "widths_before": before.spec.widths, "version": __version__}
     if data:
-        after = _refit(after, before, chosen, data, images, seed)
-        step["refit"] = {"data": [datasets.named(entry) for entry in data], "images": images, "seed": seed}
+        after = _refit(after, before, chosen, data, images, seed, held_out_every)
+        step["refit"] = {
+            "data": [datasets.named(entry) for entry in data],
+            "images": images,
+            "seed": seed,
+            "held_out_every": held_out_every,
+        }
     provenance = before.spec.provenance
     after.spec = dataclasses.replace(
         after.spec, provenance={**provenance, "pruning": [*provenance.get("pruning", []), step]}
@@ -84,14 +92,23 @@ def prune(
     print(f"search      {old['gmacs']:.2f} -> {new['gmacs']:.2f} GMAC at {before.spec.search_size} pixels")
 
 
-def _refit(after: SiamFCpp, before: SiamFCpp, plan: Plan, data: tuple[str, ...], images: int, seed: int) -> SiamFCpp:
+def _refit(
+    after: SiamFCpp,
+    before: SiamFCpp,
+    plan: Plan,
+    data: tuple[str, ...],
+    images: int,
+    seed: int,
+    held_out_every: int,
+) -> SiamFCpp:
     """The pruned network with weights fitted on so many pairs of crops."""
     from psiamfcpp.pruning.crops import batches, plain_pairs
     from psiamfcpp.pruning.groups import siamfcpp_groups
     from psiamfcpp.pruning.refitting import refit
 
     sequences = [s for entry in data for s in datasets.read_entry(entry)]
-    pairs = plain_pairs(sequences, before.spec.search_size, seed)
+    drawn_from, _ = split(sequences, held_out_every)
+    pairs = plain_pairs(drawn_from, before.spec.search_size, seed)
     crops = list(batches(pairs, 0, images, _BATCH))
     with progress() as bar:
         return refit(
