@@ -57,9 +57,9 @@ class Station:
         """The result of a command."""
         self.drain()
         self.command(command, *params)
-        ack = self.wait("COMMAND_ACK", command=command)
-        assert (ack.target_system, ack.target_component) == (self.link.source_system, 190)
-        return int(ack.result)
+        # answers to other stations come by here too, now and then after the drain
+        to_me = {"target_system": self.link.source_system, "target_component": 190}
+        return int(self.wait("COMMAND_ACK", command=command, **to_me).result)
 
     def drain(self) -> None:
         while self.link.recv_match(blocking=False) is not None:
