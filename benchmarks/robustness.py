@@ -11,6 +11,7 @@ sequence, of its passes and in the mean, in the `otb` convention.
 from __future__ import annotations
 
 import dataclasses
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +19,7 @@ import tyro
 
 from psiamfcpp import datasets
 from psiamfcpp.datasets import Sequence
+from psiamfcpp.errors import UserError
 from psiamfcpp.evaluation.metrics import score_sequence
 from psiamfcpp.evaluation.ope import first_label, one_pass
 from psiamfcpp.evaluation.trackers import Follower, ModelOptions, choose
@@ -64,4 +66,8 @@ def _text(figures: tuple[float, float] | np.ndarray) -> str:
 
 
 if __name__ == "__main__":
-    tyro.cli(main)
+    try:
+        tyro.cli(main)
+    except UserError as error:
+        print(f"robustness.py: {error}", file=sys.stderr)
+        sys.exit(2)
