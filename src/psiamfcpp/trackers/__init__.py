@@ -1,0 +1,1 @@
+"""Trackers: one contract, and one function that opens any of them."""
