@@ -12,7 +12,7 @@ import resource
 from pathlib import Path
 
 from psiamfcpp import Tracker
-from psiamfcpp.video.demo_clip import render
+from psiamfcpp.demo.clip import render
 from psiamfcpp.zoo import DEFAULT_MODEL
 
 

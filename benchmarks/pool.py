@@ -17,7 +17,7 @@ import numpy as np
 import tyro
 
 from psiamfcpp import TargetPool, Tracker
-from psiamfcpp.video.demo_clip import render
+from psiamfcpp.demo.clip import render
 from psiamfcpp.zoo import DEFAULT_MODEL
 
 

@@ -28,7 +28,7 @@ import tyro
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 
-from psiamfcpp.video.demo_clip import render
+from psiamfcpp.demo.clip import render
 from psiamfcpp.video.writer import VideoWriter
 from psiamfcpp.zoo import DEFAULT_MODEL
 

@@ -67,17 +67,13 @@ def test_rows_for_programs(run: Run, tiny_graphs: Path) -> None:
     assert {"cpu", "flags", "threads", "load", "noise", "noisy", "read_ms"} <= set(told)
 
 
-def test_a_sequence_and_a_picture(run: Run, tiny_graphs: Path, blob_sequence, tmp_path: Path) -> None:
+def test_a_sequence_of_frames_is_followed(run: Run, tiny_graphs: Path, blob_sequence) -> None:
     root = blob_sequence("blob", [(100 + i, 80, 40, 30) for i in range(3)])
-    scores, picture = tmp_path / "scores.json", tmp_path / "picture.png"
-    row = {"tracker": str(tiny_graphs), "convention": "otb", "precision": 0.5}
-    scores.write_text(json.dumps({"results": [row]}))
-    args = ("bench", "--models", tiny_graphs, "--engines", "onnx", "--rounds", 1, "--frames", 2, "--threads", 1)
-    ended = run(*args, "--sequence", root / "blob", "--scores", scores, "--picture", picture)
+    args = ("bench", "--models", tiny_graphs, "--engines", "onnx", "--rounds", 1, "--threads", 1)
+    ended = run(*args, "--frames", 2, "--sequence", root / "blob")
     assert ended.code == 0, ended.err
     assert "frames of 320x240" in ended.out
-    assert picture.stat().st_size > 1000
-    assert "holds 3 frames" in run(*args[:-4], "--frames", 3, "--sequence", root / "blob").refused()
+    assert "holds 3 frames" in run(*args, "--frames", 3, "--sequence", root / "blob").refused()
 
 
 @pytest.mark.parametrize(
@@ -88,8 +84,6 @@ def test_a_sequence_and_a_picture(run: Run, tiny_graphs: Path, blob_sequence, tm
         (("--engines", "tensorflow"), "unknown engine 'tensorflow'"),
         (("--models", "siamfcpp-alexnt", "--engines", "torch"), "did you mean 'siamfcpp-alexnet'"),
         (("--models", "siamfcpp-alexnet-int8", "--engines", "torch"), "no model and engine go together"),
-        (("--picture", "x.png"), "a picture needs --picture and --scores"),
-        (("--scores", "nothing.json", "--picture", "x.png"), "scores nothing.json cannot be read"),
     ],
 )
 def test_wrong_options_are_refused(run: Run, options: tuple[str, ...], message: str) -> None:

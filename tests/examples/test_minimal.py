@@ -12,8 +12,8 @@ import pytest
 from numpy.testing import assert_allclose
 
 from psiamfcpp import Tracker
+from psiamfcpp.demo.clip import render
 from psiamfcpp.geometry import Image
-from psiamfcpp.video.demo_clip import render
 from psiamfcpp.video.source import open_source
 from psiamfcpp.video.writer import VideoWriter
 from psiamfcpp.zoo import graph_folder

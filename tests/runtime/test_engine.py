@@ -14,10 +14,10 @@ import torch
 from numpy.testing import assert_allclose
 
 from psiamfcpp import Tracker, UserError, zoo
+from psiamfcpp.demo.clip import render
 from psiamfcpp.geometry import Image
 from psiamfcpp.models import load
 from psiamfcpp.runtime import ENGINES, open_engine
-from psiamfcpp.video.demo_clip import render
 
 
 @pytest.fixture(autouse=True)

@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from psiamfcpp.demo.clip import render
 from psiamfcpp.errors import UserError
 from psiamfcpp.geometry import Box, overlap
 from psiamfcpp.serve.propose import propose_box
-from psiamfcpp.video.demo_clip import render
 
 
 @pytest.mark.parametrize("box", [(100, 80, 40, 30), (300, 200, 24, 50), (2, 2, 30, 30), (590, 440, 40, 30)])

@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-import json as json_format
 from itertools import product
 from pathlib import Path
 from typing import Any
 
 from psiamfcpp.cli.output import notes, print_json, progress
 from psiamfcpp.datasets import folder
+from psiamfcpp.demo.clip import render
 from psiamfcpp.errors import UserError
 from psiamfcpp.evaluation import speed
 from psiamfcpp.geometry import Box, Image
 from psiamfcpp.images import read_image
 from psiamfcpp.runtime import ENGINES, usable_cores
 from psiamfcpp.runtime.graph_file import precision
-from psiamfcpp.video.demo_clip import render
 from psiamfcpp.zoo import graph_folder, graph_names, names
 
 # What all speeds are compared with: the unpruned network in torch.
@@ -31,8 +30,6 @@ def bench(
     sequence: Path | None = None,
     nano: tuple[Path, Path] | None = None,
     vit: Path | None = None,
-    picture: Path | None = None,
-    scores: tuple[Path, ...] = (),
     json: bool = False,
 ) -> None:
     """Time models on engines, and peers, in turn in one process: whole updates, and where their time goes.
@@ -46,8 +43,6 @@ def bench(
         sequence: folder with img/ and groundtruth_rect.txt to follow; by default a rendered 720p clip.
         nano: backbone and head of NanoTrack, to time OpenCV's TrackerNano.
         vit: file of OpenCV's TrackerVit, to time it.
-        picture: image to write of precision against speed; needs --scores.
-        scores: what `evaluate --json` printed, a file for each model.
         json: print one JSON object.
     """
     if rounds < 1 or frames < 1:
@@ -57,9 +52,6 @@ def bench(
     for engine in engines:
         if engine not in ENGINES:
             raise UserError(f"unknown engine {engine!r}: known are {', '.join(ENGINES)}")
-    if bool(picture) != bool(scores):
-        raise UserError("a picture needs --picture and --scores: precision comes from `psiamfcpp evaluate --json`")
-    precisions = _precisions(scores)
     threads = threads or usable_cores()
     shots, box = _shots(sequence, frames)
     candidates: list[speed.Candidate] = list(_ours(models, engines, threads))
@@ -78,10 +70,6 @@ def bench(
     facts |= {"noise": measured.noise, "noisy": measured.noisy}
     if measured.noisy:
         notes.print(f"the machine was busy: a fixed piece of work took {measured.noise:.0%} longer than at its fastest")
-    if picture:
-        from psiamfcpp.evaluation.speed_picture import draw
-
-        draw(rows, precisions, picture)
     if json:
         print_json({"rows": rows, **facts})
     else:
@@ -123,18 +111,6 @@ def _shots(sequence: Path | None, frames: int) -> tuple[list[Image], Box]:
         raise UserError(f"{sequence} holds {len(found)} frames: --frames {frames} needs one more than that")
     x, y, w, h = (float(v) for v in found.boxes[0])
     return [read_image(path) for path in found.frames[: frames + 1]], (x, y, w, h)
-
-
-def _precisions(files: tuple[Path, ...]) -> dict[str, float]:
-    """Precision (`otb`) of each tracker in what `evaluate --json` printed."""
-    found = {}
-    for path in files:
-        try:
-            rows = json_format.loads(path.read_text())["results"]
-            found.update({row["tracker"]: row["precision"] for row in rows if row["convention"] == "otb"})
-        except (OSError, ValueError, KeyError, TypeError) as error:
-            raise UserError(f"scores {path} cannot be read ({error}): give what `evaluate --json` printed") from None
-    return found
 
 
 def _print(rows: list[dict[str, Any]], facts: dict[str, Any]) -> None:

@@ -12,11 +12,11 @@ import tyro
 
 from psiamfcpp.cli.follow import follow
 from psiamfcpp.cli.output import print_json, progress
+from psiamfcpp.demo.clip import DemoFrame, render
 from psiamfcpp.errors import UserError
 from psiamfcpp.evaluation.metrics import score_sequence
 from psiamfcpp.geometry import Image
 from psiamfcpp.tracking import TargetPool
-from psiamfcpp.video.demo_clip import DemoFrame, render
 from psiamfcpp.zoo import DEFAULT_MODEL
 
 FPS = 30.0

@@ -10,8 +10,8 @@ import tyro
 from psiamfcpp.cli.output import notes
 from psiamfcpp.datasets import BenchmarkName
 from psiamfcpp.errors import UserError
-from psiamfcpp.evaluation.compare import collect
-from psiamfcpp.evaluation.report import write_report
+from psiamfcpp.report.compare import collect
+from psiamfcpp.report.writing import write_report
 
 
 def report(

@@ -14,9 +14,9 @@ from typing import Annotated
 import tyro
 
 from psiamfcpp.cli.output import notes, progress
+from psiamfcpp.demo.clip import render
 from psiamfcpp.errors import UserError
 from psiamfcpp.tracking import TargetPool
-from psiamfcpp.video.demo_clip import render
 from psiamfcpp.video.source import Source, open_source
 from psiamfcpp.video.writer import VideoWriter
 from psiamfcpp.zoo import DEFAULT_MODEL

@@ -9,11 +9,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from psiamfcpp.crop import mean_colour, target_crop
 from psiamfcpp.datasets import Sequence
+from psiamfcpp.demo.clip import render
 from psiamfcpp.errors import UserError
 from psiamfcpp.geometry import Image, centre
 from psiamfcpp.images import read_image
 from psiamfcpp.spec import ModelSpec
-from psiamfcpp.video.demo_clip import render
 
 # How far, in target sides, and by what factor the place that the tracker looks about is off.
 _SHIFT, _SCALE = 0.4, 1.2

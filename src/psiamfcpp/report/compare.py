@@ -10,9 +10,9 @@ from psiamfcpp.datasets import BENCHMARKS, Benchmark, Sequence
 from psiamfcpp.datasets.attributes import read_attributes
 from psiamfcpp.errors import UserError
 from psiamfcpp.evaluation.metrics import Convention, Scores, mean_scores
-from psiamfcpp.evaluation.published import Published, published
 from psiamfcpp.evaluation.results import Files, Speed, count_missing, find, read_speed, score_results
 from psiamfcpp.evaluation.running import RUN_FILE, read_run
+from psiamfcpp.report.published import Published, published
 
 CONVENTIONS: tuple[Convention, ...] = ("otb", "got10k")
 PAPER = "Wang et al. 2022"

@@ -11,11 +11,11 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from psiamfcpp.demo import vehicles
+from psiamfcpp.demo.ground import LANE, SUN, Land, Road, build
+from psiamfcpp.demo.vehicles import Affine, Colour, Sprite
 from psiamfcpp.errors import UserError
 from psiamfcpp.geometry import Box, Image
-from psiamfcpp.video import demo_vehicles
-from psiamfcpp.video.demo_ground import LANE, SUN, Land, Road, build
-from psiamfcpp.video.demo_vehicles import Affine, Colour, Sprite
 
 Pose = tuple[float, float, float]
 """place and heading ``(x, y, radians)`` on the land"""
@@ -114,16 +114,16 @@ def _traffic(land: Land, rng: np.random.Generator) -> tuple[_Vehicle, list[_Vehi
 
         return _drive(land.main, place, lane, False)
 
-    target = _Vehicle(demo_vehicles.car(colour), beside(0, 0, 1.5), True)
+    target = _Vehicle(vehicles.car(colour), beside(0, 0, 1.5), True)
     others = [
-        _Vehicle(demo_vehicles.truck((150, 90, 40)), beside(320, 0, 1.5), True),
-        _Vehicle(demo_vehicles.car(_any(rng)), beside(-190, 0, 1.5), True),
-        _Vehicle(demo_vehicles.car(_OTHERS[0]), beside(-330, 1250, 0.5), True),
-        _Vehicle(demo_vehicles.van(_OTHERS[0]), beside(-760, 900, 0.5), True),
+        _Vehicle(vehicles.truck((150, 90, 40)), beside(320, 0, 1.5), True),
+        _Vehicle(vehicles.car(_any(rng)), beside(-190, 0, 1.5), True),
+        _Vehicle(vehicles.car(_OTHERS[0]), beside(-330, 1250, 0.5), True),
+        _Vehicle(vehicles.van(_OTHERS[0]), beside(-760, 900, 0.5), True),
     ]
     others += _oncoming(land.main, start + 0.78 * _TRAVEL, colour, rng)
     others += _crossing(land, rng)
-    others += [_Vehicle(demo_vehicles.car(_any(rng)), _stay(yard), False) for yard in land.yards]
+    others += [_Vehicle(vehicles.car(_any(rng)), _stay(yard), False) for yard in land.yards]
     return target, others
 
 
@@ -134,11 +134,11 @@ def _oncoming(road: Road, meet: float, twin: Colour, rng: np.random.Generator) -
         for number in range(-9, 10):
             first = meet + 0.78 * pace + 330 * number
             if lane == -0.5 and number == 0:
-                sprite = demo_vehicles.car(twin)
+                sprite = vehicles.car(twin)
             else:
                 first += rng.uniform(-90, 90)
                 vans = rng.random() < 0.25
-                sprite = demo_vehicles.van(_OTHERS[rng.integers(2)]) if vans else demo_vehicles.car(_any(rng))
+                sprite = vehicles.van(_OTHERS[rng.integers(2)]) if vans else vehicles.car(_any(rng))
             found.append(_Vehicle(sprite, _drive(road, _steady(first, -pace), lane, True), True))
     return found
 
@@ -150,7 +150,7 @@ def _crossing(land: Land, rng: np.random.Generator) -> list[_Vehicle]:
     for lane, pace in ((0.5, 1250.0), (-0.5, -1250.0)):
         for number in range(-5, 6):
             place = _steady(middle + 420 * number + rng.uniform(-130, 130) - pace / 2, pace)
-            sprite = demo_vehicles.car(_any(rng))
+            sprite = vehicles.car(_any(rng))
             found.append(_Vehicle(sprite, _drive(land.crossing, place, lane, pace < 0), False))
     return found
 
@@ -208,8 +208,8 @@ def _show(image: Image, vehicle: _Vehicle, share: float, view: Affine, land: Lan
         cover = (land.cover, _compose(view, shift))
     body = _compose(_rigid(x, y, heading), vehicle.sprite.placement)
     dark = _compose(_rigid(x + SUN[0], y + SUN[1], heading), vehicle.sprite.placement)
-    demo_vehicles.stamp(image, vehicle.sprite.shadow, _compose(view, dark), cover)
-    return demo_vehicles.stamp(image, vehicle.sprite.pixels, _compose(view, body), cover)
+    vehicles.stamp(image, vehicle.sprite.shadow, _compose(view, dark), cover)
+    return vehicles.stamp(image, vehicle.sprite.pixels, _compose(view, body), cover)
 
 
 def _box(vehicle: _Vehicle, share: float, view: Affine) -> Box:

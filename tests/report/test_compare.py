@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from psiamfcpp.errors import UserError
-from psiamfcpp.evaluation.compare import average, collect, title
+from psiamfcpp.report.compare import average, collect, title
 
 from .conftest import OTHER
 

@@ -12,12 +12,12 @@ import cv2
 import pytest
 
 from psiamfcpp.errors import UserError
-from psiamfcpp.evaluation.compare import CONVENTIONS, Comparison, collect
-from psiamfcpp.evaluation.page import page
-from psiamfcpp.evaluation.plots import curves, png_and_svg
-from psiamfcpp.evaluation.report import PAGE, write_report
-from psiamfcpp.evaluation.strips import strips
-from psiamfcpp.evaluation.tables import attributes_csv, by_attribute, figures_csv, latex, rows, sequences_csv
+from psiamfcpp.report.compare import CONVENTIONS, Comparison, collect
+from psiamfcpp.report.page import page
+from psiamfcpp.report.plots import curves, png_and_svg
+from psiamfcpp.report.strips import strips
+from psiamfcpp.report.tables import attributes_csv, by_attribute, figures_csv, latex, rows, sequences_csv
+from psiamfcpp.report.writing import PAGE, write_report
 
 from .conftest import OTHER
 

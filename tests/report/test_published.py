@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from psiamfcpp.datasets import BENCHMARKS
-from psiamfcpp.evaluation.published import averaged, pruned_layers, published
+from psiamfcpp.report.published import averaged, pruned_layers, published
 
 ROWS = published()
 BASELINE = [row for row in ROWS if "tab:compareWbaseline" in row.source]

@@ -7,12 +7,12 @@ from pathlib import Path
 import cv2
 
 from psiamfcpp.errors import UserError
-from psiamfcpp.evaluation import page, plots, tables
-from psiamfcpp.evaluation.compare import CONVENTIONS, Comparison
 from psiamfcpp.evaluation.files import write_whole
-from psiamfcpp.evaluation.published import published
-from psiamfcpp.evaluation.strips import strips
 from psiamfcpp.geometry import Image
+from psiamfcpp.report import page, plots, tables
+from psiamfcpp.report.compare import CONVENTIONS, Comparison
+from psiamfcpp.report.published import published
+from psiamfcpp.report.strips import strips
 
 PAGE = "report.html"
 
@@ -21,7 +21,7 @@ def write_report(comparisons: list[Comparison], output: Path) -> list[Path]:
     """Write ``report.html`` and, beside it, CSV and LaTeX tables, plots as PNG and SVG, and strips of frames.
 
     Args:
-        comparisons: what `psiamfcpp.evaluation.compare.collect` found.
+        comparisons: what `psiamfcpp.report.compare.collect` found.
         output: folder of the report; files of the same names are replaced.
 
     Returns:

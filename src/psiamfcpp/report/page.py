@@ -9,10 +9,10 @@ from pathlib import Path
 from typing import Any
 
 from psiamfcpp import __version__
-from psiamfcpp.evaluation.compare import CONVENTIONS, PAPER, Comparison, average
 from psiamfcpp.evaluation.metrics import Convention
-from psiamfcpp.evaluation.published import Published, averaged, pruned_layers
-from psiamfcpp.evaluation.tables import FIGURES, by_attribute, rows, speed_columns
+from psiamfcpp.report.compare import CONVENTIONS, PAPER, Comparison, average
+from psiamfcpp.report.published import Published, averaged, pruned_layers
+from psiamfcpp.report.tables import FIGURES, by_attribute, rows, speed_columns
 
 _STYLE = Path(__file__).with_name("report.css")
 _CONVENTIONS = {

@@ -13,9 +13,9 @@ import cv2
 import pytest
 
 from psiamfcpp import datasets
-from psiamfcpp.evaluation.compare import Comparison, collect
 from psiamfcpp.evaluation.running import RUN_FILE, run
 from psiamfcpp.evaluation.trackers import choose
+from psiamfcpp.report.compare import Comparison, collect
 
 PATH = [(100.0 + 3 * t, 80.0 + t, 40.0, 30.0) for t in range(5)]
 OTHER = "K&F_<1>"
@@ -87,6 +87,6 @@ def comparison(results: Path) -> Comparison:
 def report(_made: Path) -> list[Path]:
     """The files of a report on them, the page first; for looking at only."""
     pytest.importorskip("matplotlib")
-    from psiamfcpp.evaluation.report import write_report
+    from psiamfcpp.report.writing import write_report
 
     return write_report(collect([_made / "results"]), _made / "deep" / "report")

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from psiamfcpp.evaluation.compare import CONVENTIONS, PAPER, Comparison, Measured
 from psiamfcpp.evaluation.metrics import Convention
+from psiamfcpp.report.compare import CONVENTIONS, PAPER, Comparison, Measured
 
 FIGURES = ("precision", "normalized_precision", "auc", "success50")
 _LATEX = {

@@ -7,8 +7,8 @@ from itertools import islice
 import numpy as np
 import pytest
 
+from psiamfcpp.demo.clip import TARGET_COLOURS, DemoFrame, render
 from psiamfcpp.errors import UserError
-from psiamfcpp.video.demo_clip import TARGET_COLOURS, DemoFrame, render
 
 SMALL = (640, 360)
 

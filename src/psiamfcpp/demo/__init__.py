@@ -1,0 +1,1 @@
+"""A rendered aerial clip with known boxes: the demo, and a data set that needs no files."""

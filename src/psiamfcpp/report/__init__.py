@@ -1,0 +1,1 @@
+"""The report: trackers side by side on one page, with tables and plots."""
