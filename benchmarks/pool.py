@@ -16,7 +16,7 @@ from itertools import islice
 import numpy as np
 import tyro
 
-from psiamfcpp import TargetPool, Tracker
+from psiamfcpp import TargetPool, Tracker, TrackerOptions
 from psiamfcpp.demo.clip import render
 from psiamfcpp.zoo import DEFAULT_MODEL
 
@@ -41,20 +41,18 @@ def main(
     """
     shots = list(islice(render(0), frames))
     first, box = shots[0].image, shots[0].box
-    options = (model, engine, threads, search_size)
-    one, pool = TargetPool(*options), TargetPool(*options)
+    options = TrackerOptions(engine, threads=threads, search_size=search_size)
+    one, pool = TargetPool(model, options=options), TargetPool(model, options=options)
     one.add(first, box)
     # the same box: what is measured does not depend on what is seen
     for _ in range(targets):
         pool.add(first, box)
-    lead = Tracker(*options)
-    trackers = [lead, *(lead.another() for _ in range(targets - 1))]
-    for tracker in trackers:
-        tracker.init(first, box)
+    tracker = Tracker(model, options=options)
+    alone = [tracker.follow(first, box) for _ in range(targets)]
     ways: dict[str, Callable[[np.ndarray], object]] = {
         "one": one.update,
         "pool": pool.update,
-        "one_by_one": lambda image: [tracker.update(image) for tracker in trackers],
+        "one_by_one": lambda image: [target.update(image, tracker.engine.search) for target in alone],
     }
     taken: dict[str, list[float]] = {name: [] for name in ways}
     for shot in shots[1:]:

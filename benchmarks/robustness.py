@@ -22,7 +22,7 @@ from psiamfcpp.datasets import Sequence
 from psiamfcpp.errors import UserError
 from psiamfcpp.evaluation.metrics import score_sequence
 from psiamfcpp.evaluation.ope import first_label, one_pass
-from psiamfcpp.evaluation.trackers import Follower, ModelOptions, choose
+from psiamfcpp.trackers import Tracker, TrackerOptions, open_tracker
 
 _BEGIN = (0, 0, 0, 0.25, 0.25, 0.5, 0.5)
 _OFF = 0.05
@@ -37,7 +37,7 @@ def main(model: tyro.conf.Positional[str], root: Path, threads: int = 1, engine:
         threads: threads of the tracker.
         engine: what runs our model; by default onnxruntime where there are graphs of it.
     """
-    tracker = choose(model, ModelOptions(engine, threads, plain=True)).open()
+    tracker = open_tracker(model, TrackerOptions(engine, threads=threads, plain=True))
     rng = np.random.default_rng(0)
     means = []
     for sequence in datasets.read("folder", root):
@@ -47,7 +47,7 @@ def main(model: tyro.conf.Positional[str], root: Path, threads: int = 1, engine:
     print(f"{'mean':16} {_text(np.mean(means, axis=0))}")
 
 
-def _score(tracker: Follower, sequence: Sequence, begin: float, rng: np.random.Generator) -> tuple[float, float]:
+def _score(tracker: Tracker, sequence: Sequence, begin: float, rng: np.random.Generator) -> tuple[float, float]:
     """Precision and AUC from a share of the sequence on."""
     start = int(begin * len(sequence))
     frames, truth = sequence.frames[start:], sequence.boxes[start:]

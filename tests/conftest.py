@@ -128,7 +128,7 @@ def blob_engine(monkeypatch: pytest.MonkeyPatch) -> BlobEngine:
             engine.spec = dataclasses.replace(engine.spec, search_size=search_size)
         return engine
 
-    monkeypatch.setattr("psiamfcpp.tracking.tracker.open_engine", open_engine)
+    monkeypatch.setattr("psiamfcpp.trackers.siamfcpp.tracker.open_engine", open_engine)
     return engine
 
 

@@ -1,7 +1,9 @@
 """Real-time UAV tracking on a CPU: SiamFC++ (AlexNet) compressed by rank-based filter pruning."""
 
 from psiamfcpp.errors import UserError
-from psiamfcpp.tracking import TargetPool, Track, Tracker
+from psiamfcpp.recipes.follow import follow
+from psiamfcpp.trackers import TargetPool, Track, TrackerOptions, open_tracker
+from psiamfcpp.trackers.siamfcpp import Tracker
 
 __version__ = "0.1.0"
-__all__ = ["TargetPool", "Track", "Tracker", "UserError"]
+__all__ = ["TargetPool", "Track", "Tracker", "TrackerOptions", "UserError", "follow", "open_tracker"]

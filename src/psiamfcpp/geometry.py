@@ -58,6 +58,18 @@ def centre_error(a: ArrayLike, b: ArrayLike) -> FloatArray:
     return np.linalg.norm(centre(a) - centre(b), axis=-1)
 
 
+def check_frame(frame: Image) -> None:
+    """Refuse anything but an image ``(H, W, 3)`` uint8.
+
+    Raises:
+        UserError: it is another kind of array, an empty one, or no array at all.
+    """
+    is_array = isinstance(frame, np.ndarray) and frame.dtype == np.uint8 and frame.size > 0
+    if not is_array or frame.ndim != 3 or frame.shape[2] != 3:
+        shape = f"{frame.dtype} {frame.shape}" if isinstance(frame, np.ndarray) else type(frame).__name__
+        raise UserError(f"frame is {shape}: an array (height, width, 3) of uint8, BGR, is needed")
+
+
 def check_box(box: ArrayLike, frame_shape: tuple[int, ...]) -> Box:
     """The box as four floats, if it is one that can be tracked in a frame.
 

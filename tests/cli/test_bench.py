@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from psiamfcpp.evaluation.speed import Bench, Step, Timing
+from psiamfcpp.evaluation.speed import Bench, Candidate, Step, Timing
 
 from .conftest import Run
 
@@ -25,15 +25,10 @@ ROW = {
 }
 
 
-class Fake:
-    def __init__(self, name: str) -> None:
-        self.model, self.engine, self.precision = name, "none", "fp32"
-
-
 def timing(name: str, *rounds: list[float]) -> Timing:
     """Updates of so many milliseconds, nine tenths of it in the graph."""
     steps = [[Step(ms * 0.05e-3, ms * 0.9e-3, ms * 0.05e-3) for ms in updates] for updates in rounds]
-    return Timing(Fake(name), steps)
+    return Timing(Candidate(name, "none", "fp32", tracker=None), steps)  # type: ignore[arg-type]
 
 
 def test_speedup_is_the_median_over_rounds_of_what_each_round_saw() -> None:
@@ -61,7 +56,7 @@ def test_rows_for_programs(run: Run, tiny_graphs: Path) -> None:
     ours, *peers = told["rows"]
     assert all(set(row) == ROW for row in told["rows"])
     assert (ours["model"], ours["engine"], ours["precision"]) == (str(tiny_graphs), "onnx", "fp32")
-    assert all(row["engine"] == "opencv" for row in peers)
+    assert [(row["model"], row["engine"]) for row in peers] == [("opencv-mil", "opencv")]
     assert told["rounds"] == 2
     assert told["frame_size"] == [1280, 720]
     assert {"cpu", "flags", "threads", "load", "noise", "noisy", "read_ms"} <= set(told)
@@ -92,4 +87,5 @@ def test_wrong_options_are_refused(run: Run, options: tuple[str, ...], message: 
 
 def test_a_missing_peer_is_named(run: Run, tiny_graphs: Path) -> None:
     args = ("bench", "--models", tiny_graphs, "--engines", "onnx", "--rounds", 1, "--frames", 1)
-    assert "nowhere.onnx for TrackerVit does not exist" in run(*args, "--vit", "nowhere.onnx").refused()
+    refused = run(*args, "--tracker", "opencv:vit,net=nowhere.onnx").refused()
+    assert "model file 'nowhere.onnx' of TrackerVit does not exist" in refused

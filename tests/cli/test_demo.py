@@ -60,17 +60,17 @@ def test_demo_refuses(
 def test_demo_interrupted_leaves_a_valid_video(
     run: Run, tmp_path: Path, tiny_model: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from psiamfcpp.tracking import Tracker
+    from psiamfcpp import TargetPool
 
-    update = Tracker.update
+    update = TargetPool.update
     calls = iter(range(100))
 
-    def until(self: Tracker, frame: object) -> object:
+    def until(self: TargetPool, frame: object) -> object:
         if next(calls) == 2:
             raise KeyboardInterrupt
         return update(self, frame)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(Tracker, "update", until)
+    monkeypatch.setattr(TargetPool, "update", until)
     ended = run("demo", "--model", tiny_model, "--frames", 6, "--output", tmp_path / "demo.mp4", "--json")
     assert (ended.code, ended.out, ended.complaint()) == (130, "", "interrupted")
     assert count_frames(tmp_path / "demo.mp4") == 3

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from psiamfcpp.tracking import TargetPool
+from psiamfcpp import TargetPool
 from psiamfcpp.video.source import Source
 from psiamfcpp.video.writer import VideoWriter
 

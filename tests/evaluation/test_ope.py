@@ -12,7 +12,7 @@ import pytest
 from psiamfcpp import UserError, datasets
 from psiamfcpp.evaluation.metrics import score_sequence
 from psiamfcpp.evaluation.ope import one_pass
-from psiamfcpp.evaluation.trackers import choose
+from psiamfcpp.trackers import choose
 
 BOXES = [(100.0 + 3 * t, 80.0 + t, 40.0, 30.0) for t in range(6)]
 

@@ -18,7 +18,7 @@ from psiamfcpp import datasets
 from psiamfcpp.cli import main
 from psiamfcpp.errors import UserError
 from psiamfcpp.evaluation.running import RUN_FILE, read_run, run
-from psiamfcpp.evaluation.trackers import ModelOptions, choose
+from psiamfcpp.trackers import TrackerOptions, choose
 
 BOXES = [(100.0 + 3 * t, 80.0 + t, 40.0, 30.0) for t in range(4)]
 NAMES = ("car1", "car2", "car3", "car4")
@@ -206,7 +206,7 @@ def test_a_cluster_that_does_not_answer(root: Path, module: str, tmp_path: Path)
 
 def test_a_folder_keeps_to_one_tracker(root: Path, tiny_model: Path, tmp_path: Path) -> None:
     sequences = datasets.read("folder", root)[:1]
-    small = ModelOptions(search_size=239)
+    small = TrackerOptions(search_size=239)
     run([choose(str(tiny_model))], "folder", root, sequences, tmp_path / "r")
     with pytest.raises(UserError, match=r"tiny was made with search_size None and not 239: give another folder"):
         run([choose(str(tiny_model), small)], "folder", root, sequences, tmp_path / "r")
@@ -223,7 +223,7 @@ def test_threads_are_stated_only_if_they_were_the_same(
     root: Path, tiny_model: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def stated(threads: int | None, sequences: int) -> int | None:
-        choice = choose(str(tiny_model), ModelOptions(threads=threads))
+        choice = choose(str(tiny_model), TrackerOptions(threads=threads))
         run([choice], "folder", root, datasets.read("folder", root)[:sequences], tmp_path / "r")
         facts = read_run(tmp_path / "r" / "folder" / "tiny")
         assert facts is not None

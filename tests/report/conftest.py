@@ -14,8 +14,8 @@ import pytest
 
 from psiamfcpp import datasets
 from psiamfcpp.evaluation.running import RUN_FILE, run
-from psiamfcpp.evaluation.trackers import choose
 from psiamfcpp.report.compare import Comparison, collect
+from psiamfcpp.trackers import choose
 
 PATH = [(100.0 + 3 * t, 80.0 + t, 40.0, 30.0) for t in range(5)]
 OTHER = "K&F_<1>"

@@ -15,13 +15,13 @@ import numpy as np
 import pytest
 from websockets.sync.client import ClientConnection, connect
 
+from psiamfcpp import TargetPool
 from psiamfcpp.errors import UserError
 from psiamfcpp.geometry import Box, Image, centre_error
 from psiamfcpp.serve.app import build_app
 from psiamfcpp.serve.control import Control
 from psiamfcpp.serve.follower import Follower
 from psiamfcpp.serve.server import bind, make_server, run
-from psiamfcpp.tracking import TargetPool
 from psiamfcpp.video.source import Source
 
 WIDTH, HEIGHT = 640, 480

@@ -12,7 +12,7 @@ import pytest
 from psiamfcpp.errors import UserError
 from psiamfcpp.geometry import centre_error
 from psiamfcpp.serve.follower import MAX_TARGETS, BusyError, Follower, bearing
-from psiamfcpp.tracking import TargetPool, Track
+from psiamfcpp.trackers import TargetPool, Track
 
 from .conftest import BLOB, Stream, until
 

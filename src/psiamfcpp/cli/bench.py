@@ -6,6 +6,8 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
+import cv2
+
 from psiamfcpp.cli.output import notes, print_json, progress
 from psiamfcpp.datasets import folder
 from psiamfcpp.demo.clip import render
@@ -15,6 +17,8 @@ from psiamfcpp.geometry import Box, Image
 from psiamfcpp.images import read_image
 from psiamfcpp.runtime import ENGINES, usable_cores
 from psiamfcpp.runtime.graph_file import precision
+from psiamfcpp.trackers import TrackerOptions, choose
+from psiamfcpp.trackers.siamfcpp import Tracker
 from psiamfcpp.zoo import graph_folder, graph_names, names
 
 # What all speeds are compared with: the unpruned network in torch.
@@ -28,8 +32,7 @@ def bench(
     rounds: int = 5,
     frames: int = 30,
     sequence: Path | None = None,
-    nano: tuple[Path, Path] | None = None,
-    vit: Path | None = None,
+    tracker: tuple[str, ...] = ("opencv:mil",),
     json: bool = False,
 ) -> None:
     """Time models on engines, and peers, in turn in one process: whole updates, and where their time goes.
@@ -41,8 +44,7 @@ def bench(
         rounds: how often each is timed.
         frames: updates a round.
         sequence: folder with img/ and groundtruth_rect.txt to follow; by default a rendered 720p clip.
-        nano: backbone and head of NanoTrack, to time OpenCV's TrackerNano.
-        vit: file of OpenCV's TrackerVit, to time it.
+        tracker: others to time beside them, as opencv:mil, opencv:nano,backbone=FILE,neckhead=FILE or dcf:kcf.
         json: print one JSON object.
     """
     if rounds < 1 or frames < 1:
@@ -54,10 +56,9 @@ def bench(
             raise UserError(f"unknown engine {engine!r}: known are {', '.join(ENGINES)}")
     threads = threads or usable_cores()
     shots, box = _shots(sequence, frames)
-    candidates: list[speed.Candidate] = list(_ours(models, engines, threads))
-    candidates += speed.peers(nano, vit)
-    import cv2
-
+    others = [choose(entry, TrackerOptions(threads=threads)) for entry in tracker]
+    candidates = list(_ours(models, engines, threads))
+    candidates += [speed.Candidate(c.name, c.kind, None, c.open()) for c in others]
     cv2.setNumThreads(threads)
     measured = speed.Bench([speed.Timing(candidate) for candidate in candidates])
     with progress() as bar:
@@ -76,7 +77,7 @@ def bench(
         _print(rows, facts)
 
 
-def _ours(models: tuple[str, ...], engines: tuple[str, ...], threads: int) -> list[speed.Ours]:
+def _ours(models: tuple[str, ...], engines: tuple[str, ...], threads: int) -> list[speed.Candidate]:
     """Every pair of model and engine that goes together; the baseline first."""
     wanted = list(product(models or sorted({*names(), *graph_names()}), engines or ENGINES))
     if BASELINE in wanted or not engines:
@@ -89,7 +90,8 @@ def _ours(models: tuple[str, ...], engines: tuple[str, ...], threads: int) -> li
             continue
         kind = "fp32" if engine == "torch" or graphs is None else precision(graphs)
         try:
-            found.append(speed.Ours(model, engine, kind, threads))
+            ours = Tracker(model, options=TrackerOptions(engine, threads=threads, plain=True))
+            found.append(speed.Candidate(model, engine, kind, ours))
         except UserError as error:
             # What was asked for by name must be there; what is only tried may be missing.
             if model in models and (engine in engines or "pip install" not in str(error)):
@@ -121,6 +123,7 @@ def _print(rows: list[dict[str, Any]], facts: dict[str, Any]) -> None:
     for row in rows:
         gain = f"{row['speedup']:.2f}x" if row["speedup"] else ""
         print(
-            f"{row['model']:26} {row['engine']:9} {row['precision']:5} {row['ms_median']:7.2f} {row['ms_spread']:5.2f} "
-            f"{row['ms_min']:6.2f} {row['crop_ms']:5.2f} {row['graph_ms']:6.2f} {row['decode_ms']:6.2f} {gain}"
+            f"{row['model']:26} {row['engine']:9} {row['precision'] or '':5} {row['ms_median']:7.2f} "
+            f"{row['ms_spread']:5.2f} {row['ms_min']:6.2f} {row['crop_ms']:5.2f} {row['graph_ms']:6.2f} "
+            f"{row['decode_ms']:6.2f} {gain}"
         )

@@ -14,7 +14,7 @@ from psiamfcpp.datasets.split import split
 from psiamfcpp.errors import UserError
 from psiamfcpp.evaluation.calibration import cross_rates, fit, gather
 from psiamfcpp.spec import TrackingConstants
-from psiamfcpp.tracking import Tracker
+from psiamfcpp.trackers.siamfcpp import Tracker
 
 
 def calibrate(

@@ -10,13 +10,13 @@ from typing import Annotated
 import numpy as np
 import tyro
 
-from psiamfcpp.cli.follow import follow
 from psiamfcpp.cli.output import print_json, progress
 from psiamfcpp.demo.clip import DemoFrame, render
 from psiamfcpp.errors import UserError
 from psiamfcpp.evaluation.metrics import score_sequence
 from psiamfcpp.geometry import Image
-from psiamfcpp.tracking import TargetPool
+from psiamfcpp.recipes.follow import follow_to_files
+from psiamfcpp.trackers import TargetPool, TrackerOptions
 from psiamfcpp.zoo import DEFAULT_MODEL
 
 FPS = 30.0
@@ -27,8 +27,8 @@ def demo(
     model: str = DEFAULT_MODEL,
     frames: int = 300,
     seed: int = 4,
-    engine: str | None = None,
-    threads: int | None = None,
+    tracker: str | None = None,
+    options: TrackerOptions = TrackerOptions(),  # noqa: B008 - frozen
     json: bool = False,
 ) -> None:
     """Render an aerial clip, follow its target, write the video and print how well it went.
@@ -39,13 +39,13 @@ def demo(
         frames: length of the clip.
         seed: of land, traffic and camera. Of the seeds 0 to 4 the default model follows only that of 4 to the end;
             in the others the target is lost at or after the occlusion.
-        engine: what runs the network.
-        threads: threads of the engine; by default all cores.
+        tracker: any other tracker instead, as opencv:mil or dcf:kcf.
+        options: how the model runs.
         json: print one JSON object.
     """
     if frames < 2:
         raise UserError(f"frames is {frames}: a clip needs at least 2")
-    pool = TargetPool(model, engine, threads)
+    pool = TargetPool(tracker or model, options=options)
     shots = render(seed, frames)
     first = next(shots)
     clip: list[DemoFrame] = []
@@ -58,7 +58,7 @@ def demo(
 
     with progress() as bar:
         task = bar.add_task("demo", total=frames)
-        result = follow(images(), pool, [first.box], FPS, output, None, lambda: bar.advance(task))
+        result = follow_to_files(images(), pool, [first.box], FPS, output, None, lambda: bar.advance(task))
     if result.ended:
         raise KeyboardInterrupt
     truth = np.array([shot.box for shot in clip])

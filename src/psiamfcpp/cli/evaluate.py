@@ -13,7 +13,7 @@ from psiamfcpp.cli.score import BOTH, print_head, print_tables, score_rows
 from psiamfcpp.errors import UserError
 from psiamfcpp.evaluation.results import Files, read_speed
 from psiamfcpp.evaluation.running import CONDITIONS, read_run, result_files, run
-from psiamfcpp.evaluation.trackers import ModelOptions, choose
+from psiamfcpp.trackers import TrackerOptions, choose
 from psiamfcpp.zoo import DEFAULT_MODEL
 
 
@@ -25,7 +25,7 @@ def evaluate(
     jobs: int = 1,
     cluster: str | None = None,
     allow_missing: bool = False,
-    options: ModelOptions = ModelOptions(),  # noqa: B008 - frozen
+    options: TrackerOptions = TrackerOptions(),  # noqa: B008 - frozen
     json: bool = False,
 ) -> None:
     """Run trackers over a benchmark, or a folder of sequences, and score them (one-pass evaluation, both conventions).
@@ -33,8 +33,8 @@ def evaluate(
     Args:
         root: the benchmark's folder; for `folder`, one of sequences, each with img/ and groundtruth_rect.txt.
         dataset: name of the benchmark.
-        tracker: names of shipped models, model files, MODULE:CLASS with init(image, box) and update(image), or
-            OpenCV's trackers, as TrackerMIL or TrackerNano=BACKBONE.onnx,HEAD.onnx.
+        tracker: shipped models, model files, and others, as opencv:mil, opencv:nano,backbone=FILE,neckhead=FILE,
+            dcf:kcf, or module:pkg.mod:Class with init(image, box) and update(image).
         results: folder to keep boxes and times in, written sequence by sequence; what it holds is not run again.
         jobs: sequences that are run side by side; leave it at 1 to measure speed.
         cluster: run on a cluster instead, that of a Dask scheduler (tcp://HOST:PORT) or of Ray (ray://HOST:PORT).
@@ -45,7 +45,7 @@ def evaluate(
     if jobs < 1:
         raise UserError(f"--jobs is {jobs}: it must be at least 1")
     if not tracker:
-        raise UserError("--tracker names none: give a model, MODULE:CLASS or one of OpenCV's")
+        raise UserError("--tracker names none: give a model, or another as opencv:mil")
     choices = [choose(entry, options) for entry in tracker]
     sequences = datasets.BENCHMARKS[dataset].read(root.resolve())
     with contextlib.ExitStack() as stack:

@@ -84,9 +84,10 @@ def export(
 def _followed(model: str, engine: str, sequences: list[Sequence]) -> dict[str, float]:
     """Precision and AUC of a model's plain procedure over the sequences."""
     from psiamfcpp.evaluation.ope import mean_over
-    from psiamfcpp.evaluation.trackers import ModelOptions, choose
+    from psiamfcpp.trackers import TrackerOptions
+    from psiamfcpp.trackers.siamfcpp import Tracker
 
-    mean = mean_over(choose(model, ModelOptions(engine, plain=True)).open(), sequences)
+    mean = mean_over(Tracker(model, options=TrackerOptions(engine, plain=True)), sequences)
     return {name: mean.figures[name] for name in ("precision", "auc")}
 
 

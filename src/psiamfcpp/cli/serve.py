@@ -16,7 +16,7 @@ import tyro
 from psiamfcpp.cli.output import notes, progress
 from psiamfcpp.demo.clip import render
 from psiamfcpp.errors import UserError
-from psiamfcpp.tracking import TargetPool
+from psiamfcpp.trackers import TargetPool, TrackerOptions
 from psiamfcpp.video.source import Source, open_source
 from psiamfcpp.video.writer import VideoWriter
 from psiamfcpp.zoo import DEFAULT_MODEL
@@ -35,9 +35,8 @@ def serve(
     fov: float | None = None,
     record: Path | None = None,
     model: str = DEFAULT_MODEL,
-    engine: str | None = None,
-    threads: int | None = None,
-    search_size: int | None = None,
+    tracker: str | None = None,
+    options: TrackerOptions = TrackerOptions(),  # noqa: B008 - frozen
 ) -> None:
     """Follow targets of a stream; draw their boxes in a browser, in a ground station or by program.
 
@@ -52,9 +51,8 @@ def serve(
         fov: horizontal field of view of the camera in degrees; with it, bearings are told.
         record: folder for recordings, which clients begin and end.
         model: name of a shipped model, or a model file.
-        engine: what runs the network.
-        threads: threads of the engine; by default all cores.
-        search_size: side of the search crop in pixels.
+        tracker: any other tracker instead, as opencv:mil, dcf:kcf or module:pkg.mod:Class.
+        options: how the model runs.
     """
     from psiamfcpp.serve import guard, server
     from psiamfcpp.serve.app import build_app
@@ -76,7 +74,8 @@ def serve(
 
             link = open_link(mavlink)
             stack.callback(link.close)
-        pool = TargetPool(model, engine, threads, search_size)
+        pool = TargetPool(tracker or model, options=options)
+        stack.callback(pool.close)
         path = _render_demo(stack) if source == "demo" else source
         follower = Follower(_opener(path, source), pool)
         recorder = None if record is None else Recorder(record, follower)

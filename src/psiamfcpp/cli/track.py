@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
+import contextlib
 from pathlib import Path
 from typing import Annotated, Any
 
 import tyro
 
-from psiamfcpp.cli.follow import follow
 from psiamfcpp.cli.output import notes, parse_box, print_json, progress
 from psiamfcpp.errors import UserError
-from psiamfcpp.tracking import TargetPool, Track
-from psiamfcpp.tracking.confidence import STATES, State
+from psiamfcpp.recipes.follow import follow_to_files
+from psiamfcpp.trackers import STATES, State, TargetPool, Track, TrackerOptions
 from psiamfcpp.video.source import open_source
 from psiamfcpp.zoo import DEFAULT_MODEL
 
@@ -20,12 +20,10 @@ def track(
     source: Annotated[str, tyro.conf.Positional],
     box: tyro.conf.UseAppendAction[list[str]],
     model: str = DEFAULT_MODEL,
+    tracker: str | None = None,
     output: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None,
     boxes: Path | None = None,
-    engine: str | None = None,
-    threads: int | None = None,
-    search_size: int | None = None,
-    plain: bool = False,
+    options: TrackerOptions = TrackerOptions(),  # noqa: B008 - frozen
     json: bool = False,
 ) -> None:
     """Follow a target through a video.
@@ -34,21 +32,22 @@ def track(
         source: video file, camera number, RTSP or HTTP address, folder of images, or glob of images.
         box: x,y,w,h of the target on the first frame, pixels, 0-based; repeat it to follow several.
         model: name of a shipped model, or a model file.
+        tracker: any other tracker instead, as opencv:mil, dcf:kcf or module:pkg.mod:Class.
         output: video to write (.mp4, .mkv or .avi) with box, score, state and speed.
-        boxes: text file to write: x,y,w,h a line; of several targets one each, NAME.1.txt, NAME.2.txt...
-        engine: what runs the network.
-        threads: threads of the engine; by default all cores.
-        search_size: side of the search crop in pixels; 239 costs 40 percent less than 303.
-        plain: the published procedure, without states and without looking for a lost target.
-        json: print one JSON object with frames, fps and boxes; of several targets, also all in targets.
+        boxes: text file to write: one x,y,w,h per line; with several targets one each, NAME.1.txt, NAME.2.txt...
+        options: how the model runs.
+        json: print one JSON object with frames, fps and boxes; with several targets, also all in targets.
     """
     if not box:
         raise UserError("--box is missing: give x,y,w,h of the target on the first frame, in pixels")
     starts = [parse_box(text) for text in box]
-    with open_source(source, on_event=notes.print) as video, progress() as bar:
-        pool = TargetPool(model, engine, threads, search_size, plain)
+    with contextlib.ExitStack() as files:
+        video = files.enter_context(open_source(source, on_event=notes.print))
+        bar = files.enter_context(progress())
+        pool = TargetPool(tracker or model, options=options)
+        files.callback(pool.close)
         task = bar.add_task(video.name, total=video.frame_count)
-        result = follow(video, pool, starts, video.fps, output, boxes, lambda: bar.advance(task))
+        result = follow_to_files(video, pool, starts, video.fps, output, boxes, lambda: bar.advance(task))
     # by target instead of by frame
     targets = [list(tracks) for tracks in zip(*result.tracks, strict=True)]
     count = len(result.tracks)
@@ -75,6 +74,7 @@ def _columns(tracks: list[Track]) -> dict[str, list[Any]]:
     }
 
 
-def _summary(states: list[State]) -> str:
+def _summary(states: list[State | None]) -> str:
     counts = {state: states.count(state) for state in STATES}
-    return ", ".join(f"{state} in {count}" for state, count in counts.items() if count)
+    named = ", ".join(f"{state} in {count}" for state, count in counts.items() if count)
+    return named or "followed; this tracker states no confidence of its own"

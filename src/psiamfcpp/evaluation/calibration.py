@@ -16,9 +16,9 @@ from psiamfcpp.errors import UserError
 from psiamfcpp.geometry import FloatArray, Image, centre, from_centre, overlap
 from psiamfcpp.images import read_image
 from psiamfcpp.spec import Calibration
-from psiamfcpp.tracking import Tracker
-from psiamfcpp.tracking.confidence import confidence
-from psiamfcpp.tracking.procedure import Target
+from psiamfcpp.trackers.siamfcpp import Tracker
+from psiamfcpp.trackers.siamfcpp.confidence import confidence
+from psiamfcpp.trackers.siamfcpp.procedure import Target
 
 # Unsure is what is more likely wrong than right; doubted, what is wrong at odds of ninety-nine to one, since clips to
 # calibrate on are easier than flights: at nineteen to one, targets in flight that were followed rightly were let go.
@@ -36,7 +36,7 @@ class Looks:
     peak: FloatArray
     """``(n,)``: score of the chosen cell"""
     contrast: FloatArray
-    """``(n,)``: see `psiamfcpp.tracking.procedure.contrast`"""
+    """``(n,)``: see `psiamfcpp.trackers.siamfcpp.procedure.contrast`"""
     found: NDArray[np.bool_]
     """``(n,)``: the target was there, and the box lay on it"""
     absent: NDArray[np.bool_]

@@ -11,9 +11,9 @@ import numpy as np
 from psiamfcpp.datasets import Sequence
 from psiamfcpp.errors import UserError
 from psiamfcpp.evaluation.metrics import Scores, mean_scores, score_sequence
-from psiamfcpp.evaluation.trackers import Follower
 from psiamfcpp.geometry import FloatArray
 from psiamfcpp.images import read_image
+from psiamfcpp.trackers.contract import Tracker
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,7 @@ def first_label(sequence: Sequence) -> int:
     return int(usable.argmax())
 
 
-def one_pass(tracker: Follower, sequence: Sequence) -> Pass:
+def one_pass(tracker: Tracker, sequence: Sequence) -> Pass:
     """Run a tracker from the first label to the last frame (one-pass evaluation).
 
     Raises:
@@ -57,12 +57,12 @@ def one_pass(tracker: Follower, sequence: Sequence) -> Pass:
         if i == start:
             tracker.init(frame, sequence.boxes[i])
         else:
-            boxes[i] = tracker.update(frame)
+            boxes[i] = tracker.update(frame).box
         seconds[i], decoding[i] = time.perf_counter() - decoded, decoded - begin
     return Pass(boxes, seconds, decoding)
 
 
-def mean_over(tracker: Follower, sequences: Iterable[Sequence]) -> Scores:
+def mean_over(tracker: Tracker, sequences: Iterable[Sequence]) -> Scores:
     """Mean scores of one pass over each sequence, in the `otb` convention.
 
     Raises:

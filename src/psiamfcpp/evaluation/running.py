@@ -26,7 +26,7 @@ from psiamfcpp.errors import UserError
 from psiamfcpp.evaluation.files import write_whole
 from psiamfcpp.evaluation.ope import first_label, one_pass
 from psiamfcpp.evaluation.results import Files, read_times
-from psiamfcpp.evaluation.trackers import Follower, TrackerChoice
+from psiamfcpp.trackers import Tracker, TrackerChoice
 
 RUN_FILE = "run.json"
 CONDITIONS = ("threads", "jobs", "processor")
@@ -133,7 +133,7 @@ def read_run(folder: Path) -> dict[str, Any] | None:
 
 
 def _one_by_one(pending: list[Job]) -> Iterator[str | None]:
-    opened: tuple[TrackerChoice, Follower] | None = None
+    opened: tuple[TrackerChoice, Tracker] | None = None
     for job in pending:
         if opened is None or opened[0] != job.choice:
             opened = (job.choice, job.choice.open())
@@ -203,7 +203,7 @@ def _end_with(parent: int) -> None:
     os._exit(1)
 
 
-def _attempt(tracker: Follower, job: Job) -> str | None:
+def _attempt(tracker: Tracker, job: Job) -> str | None:
     """Run one sequence and write it down; what went wrong, if anything did."""
     name = job.sequence.name
     try:
@@ -264,7 +264,7 @@ def _describe(choice: TrackerChoice, dataset: str, root: Path, conditions: dict[
 def _conditions(choice: TrackerChoice, jobs: int, earlier: dict[str, Any] | None) -> dict[str, Any]:
     """Under what conditions the times were measured, those of an earlier run included."""
     # how many threads a foreign class uses, nobody here knows
-    threads = None if choice.kind == "class" else choice.options.threads
+    threads = None if choice.kind not in ("model", "opencv", "dcf") else choice.options.threads
     processor = _processor()
     if earlier is None:
         return {"threads": threads, "jobs": jobs, "processor": processor}

@@ -5,17 +5,17 @@ from __future__ import annotations
 import os
 import platform
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import cv2
 import numpy as np
 
-from psiamfcpp.errors import UserError
 from psiamfcpp.geometry import Box, FloatArray, Image
-from psiamfcpp.tracking import Tracker
+from psiamfcpp.trackers.contract import Tracker
+from psiamfcpp.trackers.siamfcpp import Tracker as OurTracker
 
 # The machine is noisy if a fixed piece of work takes longer by more than this share in half of the rounds.
 _NOISE = 0.1
@@ -37,96 +37,33 @@ class Step:
         return self.crop + self.graph + self.decode
 
 
-class Candidate(Protocol):
-    """Something that follows a target and says where the time goes."""
+@dataclass(frozen=True)
+class Candidate:
+    """A tracker to time, and how the table shows it."""
 
     model: str
     engine: str
-    precision: str
-
-    def init(self, frame: Image, box: Box) -> None:
-        """Take up a target."""
-        ...
+    precision: str | None
+    """fp32 or int8; None where the tracker does not say"""
+    tracker: Tracker
 
     def step(self, frame: Image) -> Step:
-        """Find it in the next frame."""
-        ...
+        """Find the target in the next frame, and time it.
 
-
-class Ours:
-    """A tracker of this package."""
-
-    def __init__(self, model: str, engine: str, precision: str, threads: int):
-        self.model, self.engine, self.precision = model, engine, precision
-        self._tracker = Tracker(model, engine, threads, plain=True)
-
-    def init(self, frame: Image, box: Box) -> None:
-        """See `Candidate`."""
-        self._tracker.init(frame, box)
-
-    def step(self, frame: Image) -> Step:
-        """See `Candidate`."""
-        tracker, start = self._tracker, time.perf_counter()
-        look = tracker.aim(frame)
+        With our models the time is split into crop, network and the rest; of other trackers all of it counts as the
+        network's.
+        """
+        tracker, start = self.tracker, time.perf_counter()
+        if not isinstance(tracker, OurTracker):
+            tracker.update(frame)
+            return Step(0.0, time.perf_counter() - start, 0.0)
+        engine, target = tracker.engine, tracker.following
+        look = target.aim(frame)
         cropped = time.perf_counter()
-        answer = tracker.engine.search(look.region, look.kernels)
+        answer = engine.search(look.region, look.kernels)
         answered = time.perf_counter()
-        tracker.conclude(frame, look, *answer)
+        target.conclude(frame, look, *answer, engine.search)
         return Step(cropped - start, answered - cropped, time.perf_counter() - answered)
-
-
-class Peer:
-    """A tracker of OpenCV; all of its time counts as the graph's."""
-
-    precision = "fp32"
-    engine = "opencv"
-
-    def __init__(self, model: str, create: Callable[[], Any]):
-        self.model, self._create = model, create
-
-    def init(self, frame: Image, box: Box) -> None:
-        """See `Candidate`."""
-        self._tracker = self._create()
-        self._tracker.init(frame, tuple(round(v) for v in box))
-
-    def step(self, frame: Image) -> Step:
-        """See `Candidate`."""
-        start = time.perf_counter()
-        self._tracker.update(frame)
-        return Step(0.0, time.perf_counter() - start, 0.0)
-
-
-def peers(nano: tuple[Path, Path] | None, vit: Path | None) -> Iterator[Peer]:
-    """Trackers that the installed OpenCV has.
-
-    Args:
-        nano: backbone and head of NanoTrack, for TrackerNano.
-        vit: file of TrackerVit.
-
-    Raises:
-        UserError: a file is missing or not what the tracker needs.
-    """
-    for name in ("KCF", "CSRT", "MIL"):
-        if hasattr(cv2, f"Tracker{name}_create"):
-            yield Peer(name, getattr(cv2, f"Tracker{name}_create"))
-    files: dict[str, dict[str, Path]] = {}
-    if nano:
-        files["TrackerNano"] = {"backbone": nano[0], "neckhead": nano[1]}
-    if vit:
-        files["TrackerVit"] = {"net": vit}
-    for name, named in files.items():
-        for path in named.values():
-            if not path.is_file():
-                raise UserError(f"{path} for {name} does not exist")
-        try:
-            settings = getattr(cv2, f"{name}_Params")()
-            for key, path in named.items():
-                setattr(settings, key, str(path))
-            create = getattr(cv2, f"{name}_create")
-            create(settings)
-        except (AttributeError, cv2.error) as error:
-            raise UserError(f"{name} cannot be made from {', '.join(map(str, named.values()))}: {error}") from None
-        yield Peer(name, lambda create=create, settings=settings: create(settings))  # type: ignore[misc]
 
 
 @dataclass
@@ -200,7 +137,7 @@ def run(bench: Bench, frames: list[Image], box: Box, rounds: int, advance: Calla
         bench.reading.append((time.perf_counter() - start) * 1e3 / len(files))
         for timing in bench.timings:
             bench.reference.append(_fixed_work())
-            timing.candidate.init(frames[0], box)
+            timing.candidate.tracker.init(frames[0], box)
             timing.steps.append([timing.candidate.step(frame) for frame in frames[1:]])
             advance()
 

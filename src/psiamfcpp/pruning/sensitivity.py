@@ -19,7 +19,6 @@ import torch
 from psiamfcpp import datasets
 from psiamfcpp.errors import UserError
 from psiamfcpp.evaluation.ope import mean_over
-from psiamfcpp.evaluation.trackers import ModelOptions, TrackerChoice
 from psiamfcpp.models import SiamFCpp, load, save
 from psiamfcpp.models.cost import count_parameters, search_macs
 from psiamfcpp.pruning.criteria import CRITERIA, keep_best, scores
@@ -28,6 +27,8 @@ from psiamfcpp.pruning.planning import PAPER_KEEP, Plan, choose, kept_count, pla
 from psiamfcpp.pruning.surgery import prune_siamfcpp
 from psiamfcpp.pruning.table import RankTable, read_json, write_json
 from psiamfcpp.spec import FULL_WIDTHS, TEMPLATE_SIZE
+from psiamfcpp.trackers import TrackerOptions
+from psiamfcpp.trackers.siamfcpp import Tracker
 from psiamfcpp.training.loop import MODEL_FILE, PairLoss, train
 from psiamfcpp.training.options import RunOptions, TrainOptions
 from psiamfcpp.training.validation import held_out_batches
@@ -136,7 +137,7 @@ def measure(setup: Setup, cell: Cell, folder: Path) -> dict[str, Any]:
         network = load(run / MODEL_FILE)
     else:
         save(run / MODEL_FILE, network)
-    tracker = TrackerChoice(str(run / MODEL_FILE), "model", ModelOptions("torch", 1, plain=True)).open()
+    tracker = Tracker(str(run / MODEL_FILE), options=TrackerOptions("torch", threads=1, plain=True))
     mean = mean_over(tracker, datasets.read("folder", setup.root))
     spec = network.spec
     result = {

@@ -15,7 +15,7 @@ import numpy as np
 
 from psiamfcpp.errors import UserError
 from psiamfcpp.geometry import Box, Image
-from psiamfcpp.tracking import TargetPool, Track
+from psiamfcpp.trackers import TargetPool, Track
 from psiamfcpp.video.source import Source
 
 MAX_TARGETS = 8

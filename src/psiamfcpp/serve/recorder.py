@@ -137,6 +137,7 @@ def _write(folder: Path, fps: float, get: Callable[[], Shot | None]) -> None:
 def _write_rows(table: Any, file: IO[str], shot: Shot, seconds: float) -> None:
     for number, track in shot.tracks.items():
         box = (f"{v:.2f}" for v in track.box)
-        table.writerow((f"{seconds:.3f}", shot.number, number, *box, f"{track.score:.3f}", track.state))
+        score = "" if track.score is None else f"{track.score:.3f}"
+        table.writerow((f"{seconds:.3f}", shot.number, number, *box, score, track.state))
     # on disk with every frame, whatever ends the flight
     file.flush()

@@ -49,7 +49,7 @@ def targets(shot: Shot, fov: float | None) -> list[dict[str, Any]]:
         target: dict[str, Any] = {
             "id": number,
             "box": [round(v, 2) for v in track.box],
-            "score": round(track.score, 4),
+            "score": None if track.score is None else round(track.score, 4),
             "state": track.state,
         }
         if fov is not None:

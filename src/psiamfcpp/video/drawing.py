@@ -36,7 +36,7 @@ _BLACK, _WHITE = (0, 0, 0), (255, 255, 255)
 
 
 class Shown(Protocol):
-    """What is drawn of a target; `psiamfcpp.tracking.Track` is one."""
+    """What is drawn of a target; `psiamfcpp.trackers.Track` is one."""
 
     @property
     def box(self) -> Box:
@@ -44,12 +44,12 @@ class Shown(Protocol):
         ...
 
     @property
-    def score(self) -> float:
-        """0..1."""
+    def score(self) -> float | None:
+        """How sure the tracker is."""
         ...
 
     @property
-    def state(self) -> str:
+    def state(self) -> str | None:
         """tracking, unsure or lost."""
         ...
 
@@ -70,11 +70,12 @@ def draw_targets(frame: Image, tracks: Mapping[int, Shown]) -> Image:
     """
     image = frame.copy()
     for number, track in tracks.items():
-        label = f"{track.state} {track.score:.2f}"
+        score = None if track.score is None else f"{track.score:.2f}"
+        label = " ".join(filter(None, [track.state, score]))
         if len(tracks) == 1:
-            image = draw(image, track.box, label, STATE_COLOURS[track.state])
+            image = draw(image, track.box, label, STATE_COLOURS[track.state or "tracking"])
         else:
-            image = draw(image, track.box, f"{number} {label}", target_colour(number))
+            image = draw(image, track.box, f"{number} {label}".strip(), target_colour(number))
     return image
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from psiamfcpp.errors import UserError
 
-DEFAULT_MODEL = "siamfcpp-alexnet-int8"
+DEFAULT_MODEL = "psiamfcpp-alexnet-int8"
 
 _FOLDER = Path(__file__).parent
 
@@ -53,6 +53,16 @@ def graph_folder(path_or_name: str | Path) -> Path | None:
         return _FOLDER / str(path_or_name)
     path = Path(path_or_name)
     return path if any(path.glob("search.*")) else None
+
+
+def model_files(path_or_name: str | Path) -> list[Path]:
+    """Return the files of a model, by name: its graphs, or its checkpoint.
+
+    Raises:
+        UserError: neither a shipped model nor a file; names the nearest model.
+    """
+    folder = graph_folder(path_or_name)
+    return sorted(path for path in folder.iterdir() if path.is_file()) if folder else [weights_path(path_or_name)]
 
 
 def _known(found: list[str]) -> str:

@@ -23,7 +23,7 @@ from psiamfcpp.geometry import Box
 from psiamfcpp.serve.control import Control, NotOperatorError, TooManyError
 from psiamfcpp.serve.follower import BusyError, Shot, bearing
 from psiamfcpp.serve.mavlink.link import Link, Peer
-from psiamfcpp.tracking import Track
+from psiamfcpp.trackers import Track
 
 _COMPONENT = mav.MAV_COMP_ID_CAMERA
 _HEARTBEAT_US = 1_000_000

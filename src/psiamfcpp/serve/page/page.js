@@ -1,5 +1,6 @@
 "use strict";
 
+const scoreText = (score) => (score === null ? "" : score.toFixed(2));
 const byId = (id) => document.getElementById(id);
 const canvas = byId("picture");
 const pen = canvas.getContext("2d");
@@ -126,13 +127,13 @@ function draw() {
 function drawTarget(target, unit) {
   const [x, y, w, h] = target.box;
   const several = shown.targets.length > 1;
-  const colour = several ? COLOURS[(target.id - 1) % COLOURS.length] : STATES[target.state];
+  const colour = several ? COLOURS[(target.id - 1) % COLOURS.length] : STATES[target.state ?? "tracking"];
   pen.lineWidth = (several && target.id === shown.selected ? 3.5 : 2) * unit;
   pen.strokeStyle = colour;
   pen.setLineDash(target.state === "lost" ? [5 * unit, 5 * unit] : []);
   pen.strokeRect(x, y, w, h);
   pen.setLineDash([]);
-  const label = `${several ? target.id + " " : ""}${target.state} ${target.score.toFixed(2)}`;
+  const label = [several ? target.id : "", target.state ?? "", scoreText(target.score)].filter(Boolean).join(" ");
   pen.font = `600 ${13 * unit}px system-ui, sans-serif`;
   const width = pen.measureText(label).width + 10 * unit;
   const height = 20 * unit;
@@ -179,11 +180,11 @@ function list(mine) {
     old.delete(target.id);
     item.classList.toggle("selected", state.targets.length > 1 && target.id === state.selected);
     const several = state.targets.length > 1;
-    item.querySelector(".swatch").style.background = several ? COLOURS[(target.id - 1) % COLOURS.length] : STATES[target.state];
+    item.querySelector(".swatch").style.background = several ? COLOURS[(target.id - 1) % COLOURS.length] : STATES[target.state ?? "tracking"];
     const word = item.querySelector(".state");
-    word.textContent = target.state;
-    word.className = `state ${target.state}`;
-    item.querySelector(".score").textContent = target.score.toFixed(2);
+    word.textContent = target.state ?? "";
+    word.className = `state ${target.state ?? "tracking"}`;
+    item.querySelector(".score").textContent = scoreText(target.score);
     const bearing = target.bearing;
     item.querySelector("small").textContent = bearing
       ? `${angle(bearing.azimuth_deg, "right", "left")}, ${angle(bearing.elevation_deg, "up", "down")}` : "";

@@ -10,7 +10,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from psiamfcpp.spec import TrackingConstants
-from psiamfcpp.tracking.procedure import Estimate, FloatMap, Target, contrast, cosine_window, estimate, hidden, smooth
+from psiamfcpp.trackers.siamfcpp.procedure import (
+    Estimate,
+    FloatMap,
+    Target,
+    contrast,
+    cosine_window,
+    estimate,
+    hidden,
+    smooth,
+)
 
 N = 17
 K, WINDOW = 0.05, 0.25

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from psiamfcpp.spec import Calibration
-from psiamfcpp.tracking.confidence import LOST_AFTER, StateMachine, confidence
+from psiamfcpp.trackers.siamfcpp.confidence import LOST_AFTER, StateMachine, confidence
 
 # sigmoid(1 + 2 logit(peak) + 0.5 contrast)
 FITTED = Calibration(bias=1.0, score_weight=2.0, contrast_weight=0.5)

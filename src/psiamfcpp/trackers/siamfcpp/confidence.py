@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 import math
-from typing import Literal
 
 from psiamfcpp.spec import Calibration
-
-State = Literal["tracking", "unsure", "lost"]
-STATES: tuple[State, ...] = ("tracking", "unsure", "lost")
+from psiamfcpp.trackers.contract import State
 
 # A target is given up after so many frames in a row that speak for its absence; one alone may be blur or a blink.
 LOST_AFTER = 8

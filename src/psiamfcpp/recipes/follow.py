@@ -1,20 +1,23 @@
-"""The loop behind `track` and `demo`: frames in, boxes, video and figures out."""
+"""Follow boxes through a source: `follow` for Python users, `follow_to_files` behind `track` and `demo`."""
 
 from __future__ import annotations
 
 import contextlib
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from psiamfcpp.errors import UserError
 from psiamfcpp.geometry import Box, Image
-from psiamfcpp.tracking import TargetPool, Track
+from psiamfcpp.trackers import TargetPool, Track, TrackerOptions
 from psiamfcpp.video.drawing import draw_status, draw_targets
+from psiamfcpp.video.source import open_source
 from psiamfcpp.video.writer import BoxWriter, VideoWriter
+from psiamfcpp.zoo import DEFAULT_MODEL
 
 
 @dataclass
@@ -36,6 +39,39 @@ class Followed:
 
 
 def follow(
+    source: str | int | Path | Iterable[Image],
+    boxes: Sequence[ArrayLike],
+    tracker: str = DEFAULT_MODEL,
+    options: TrackerOptions = TrackerOptions(),  # noqa: B008 - frozen
+) -> Iterator[list[Track]]:
+    """Follow boxes through a video, frame by frame.
+
+    Args:
+        source: a video file, camera number, address, folder or glob of images (see `psiamfcpp.video.source`), or the
+            frames themselves, each ``(H, W, 3)`` uint8, BGR.
+        boxes: ``(x, y, w, h)`` of each target on the first frame, pixels, 0-based; at least one.
+        tracker: our model, or any other tracker (see `psiamfcpp.open_tracker`).
+        options: how our model runs.
+
+    Yields:
+        For each frame one track per box, in the order of the boxes; the first frame's are the boxes themselves.
+
+    Raises:
+        UserError: the source cannot be read, a box cannot be tracked, or there is no such tracker.
+    """
+    if not len(boxes):
+        raise UserError("boxes is empty: give x,y,w,h of at least one target on the first frame")
+    with contextlib.ExitStack() as stack:
+        frames: Iterable[Image]
+        frames = stack.enter_context(open_source(source)) if isinstance(source, str | int | Path) else source
+        pool = TargetPool(tracker, options=options)
+        stack.callback(pool.close)
+        for frame in frames:
+            tracks = pool.update(frame) if pool.numbers else dict(pool.add(frame, box) for box in boxes)
+            yield list(tracks.values())
+
+
+def follow_to_files(
     frames: Iterator[Image],
     pool: TargetPool,
     targets: Sequence[Box],
@@ -44,9 +80,9 @@ def follow(
     boxes: Path | None = None,
     advance: Callable[[], None] = lambda: None,
 ) -> Followed:
-    """Follow boxes through frames, writing as it goes.
+    """Follow boxes through frames, and write video and boxes on the way.
 
-    An interruption or a source that breaks off ends it; what was written until then is complete.
+    An interruption or a source that ends early ends it; what was written until then is complete.
 
     Args:
         frames: ``(H, W, 3)`` uint8, BGR.
@@ -54,7 +90,7 @@ def follow(
         targets: the boxes on the first frame, at least one.
         fps: frame rate of the written video.
         output: video to write, with box, score, state and speed.
-        boxes: text file to write, ``x,y,w,h`` a line; of several targets, a file each (see `boxes_paths`).
+        boxes: text file to write, one ``x,y,w,h`` per line; with several targets, one file each (see `boxes_paths`).
         advance: called after each frame.
 
     Raises:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from dataclasses import dataclass, field
 
-from psiamfcpp.tracking.procedure import Target
+from psiamfcpp.trackers.siamfcpp.procedure import Target
 
 # So many looks at the expected place, and in how many in a row what is found there must lead; tried on rendered
 # clips (`psiamfcpp demo`, seeds 0 to 14), where like cars pass while the target is under a bridge.

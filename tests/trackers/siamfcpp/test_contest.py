@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from psiamfcpp.tracking.contest import Contest
-from psiamfcpp.tracking.procedure import Target
+from psiamfcpp.trackers.siamfcpp.contest import Contest
+from psiamfcpp.trackers.siamfcpp.procedure import Target
 
 PLACE = Target(100, 80, 40, 30)
 FOUND = Target(104, 79, 44, 33)

@@ -14,8 +14,8 @@ from numpy.testing import assert_array_equal
 from psiamfcpp import Track, Tracker, UserError
 from psiamfcpp.geometry import Box, centre_error, overlap
 from psiamfcpp.spec import TEMPLATE_SIZE
-from psiamfcpp.tracking.confidence import LOST_AFTER
-from psiamfcpp.tracking.tracker import spiral
+from psiamfcpp.trackers.siamfcpp.confidence import LOST_AFTER
+from psiamfcpp.trackers.siamfcpp.following import spiral
 
 Draw = Callable[..., Any]
 START: Box = (100, 80, 40, 30)
