@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
 
@@ -210,6 +211,21 @@ def test_an_output_that_is_a_file(start: Start, tmp_path: Path):
     with pytest.raises(UserError, match=r"run folder .*run cannot be made"):
         list(start(options(2)))
     assert (tmp_path / "run").read_text() == "mine"
+
+
+@pytest.mark.parametrize(("share", "named"), [(0.0, "log.jsonl"), (0.5, "model.safetensors"), (1.5, "state.pt")])
+def test_a_full_disk_is_named_and_the_run_can_go_on(
+    start: Start, tmp_path: Path, disk_of: Callable[[int], AbstractContextManager[None]], share: float, named: str
+):
+    list(start(options(4), folder="straight"))
+    wanted = (tmp_path / "straight" / "model.safetensors").read_bytes()
+    next(start(options(4), save_every=2))
+    with disk_of(int(share * len(wanted))), pytest.raises(UserError, match=f"{named} cannot be written") as caught:
+        list(start(options(4), save_every=2))
+    assert "\n" not in str(caught.value)
+    assert not [path for path in (tmp_path / "run").iterdir() if path.name.endswith(".part")]
+    list(start(options(4), save_every=2))
+    assert (tmp_path / "run" / "model.safetensors").read_bytes() == wanted
 
 
 def changed(before: dict[str, Tensor], after: dict[str, Tensor]) -> set[str]:

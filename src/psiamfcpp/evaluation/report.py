@@ -9,9 +9,9 @@ import cv2
 from psiamfcpp.errors import UserError
 from psiamfcpp.evaluation import page, plots, tables
 from psiamfcpp.evaluation.compare import CONVENTIONS, Comparison
-from psiamfcpp.evaluation.files import write_whole
 from psiamfcpp.evaluation.published import published
 from psiamfcpp.evaluation.strips import strips
+from psiamfcpp.files import write_whole
 from psiamfcpp.geometry import Image
 
 PAGE = "report.html"

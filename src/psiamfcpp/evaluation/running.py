@@ -23,10 +23,10 @@ from psiamfcpp import __version__
 from psiamfcpp.datasets import Sequence
 from psiamfcpp.datasets.folder import read_boxes
 from psiamfcpp.errors import UserError
-from psiamfcpp.evaluation.files import write_whole
 from psiamfcpp.evaluation.ope import first_label, one_pass
 from psiamfcpp.evaluation.results import Files, read_times
 from psiamfcpp.evaluation.trackers import Follower, TrackerChoice
+from psiamfcpp.files import write_whole
 
 RUN_FILE = "run.json"
 CONDITIONS = ("threads", "jobs", "processor")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import ctypes
 import dataclasses
+import io
 import json
 import os
 import re
@@ -19,6 +20,7 @@ from torch import Tensor, nn
 
 from psiamfcpp.datasets import Sequence
 from psiamfcpp.errors import UserError
+from psiamfcpp.files import write_whole, writing
 from psiamfcpp.models.checkpoint import save
 from psiamfcpp.models.network import SiamFCpp
 from psiamfcpp.training.batches import Batch, numbered_batches
@@ -149,7 +151,7 @@ def train(
                 with _weights(model, mean):
                     row["validation"] = dataclasses.asdict(pair_score(model, validation, bf16))
             sums, clock = [], time.perf_counter()
-            with (output / LOG_FILE).open("a") as log:
+            with writing(output / LOG_FILE), (output / LOG_FILE).open("a") as log:
                 log.write(json.dumps(row) + "\n")
             yield row
         if rank == 0 and (done % run.save_every == 0 or done == steps):
@@ -259,9 +261,10 @@ def _save(
     # The model first: a run killed between the two does these steps again, instead of ending with an old model.
     with _weights(model, mean):
         save(output / MODEL_FILE, model)
-    temporary = output / (STATE_FILE + ".part")
-    torch.save(state, temporary)
-    temporary.replace(output / STATE_FILE)
+    # In memory first: torch says of a full disk only "iostream error", in a RuntimeError.
+    content = io.BytesIO()
+    torch.save(state, content)
+    write_whole(output / STATE_FILE, content.getbuffer())
 
 
 def _resume(
@@ -298,9 +301,7 @@ def _truncate_log(path: Path, step: int) -> None:
     if not path.exists():
         return
     rows = [line for line in path.read_text().splitlines() if _step_of(line) <= step]
-    temporary = path.with_suffix(".part")
-    temporary.write_text("".join(row + "\n" for row in rows))
-    temporary.replace(path)
+    write_whole(path, "".join(row + "\n" for row in rows))
 
 
 def _step_of(line: str) -> float:
