@@ -21,7 +21,7 @@ import numpy as np
 
 from psiamfcpp import __version__
 from psiamfcpp.datasets import Sequence
-from psiamfcpp.datasets.folder import read_boxes
+from psiamfcpp.datasets.boxes import find_files, read_boxes, write_boxes
 from psiamfcpp.errors import UserError
 from psiamfcpp.evaluation.ope import first_label, one_pass
 from psiamfcpp.evaluation.results import Files, read_times
@@ -211,7 +211,7 @@ def _attempt(tracker: Follower, job: Job) -> str | None:
         # the times first: a result stands for a sequence that is done
         times = zip(done.seconds, done.decoding, strict=True)
         write_whole(job.folder / f"{name}_time.txt", "".join(f"{t:.6f},{d:.6f}\n" for t, d in times))
-        write_whole(job.folder / f"{name}.txt", "".join(",".join(f"{v:.4f}" for v in box) + "\n" for box in done.boxes))
+        write_boxes(job.folder / f"{name}.txt", done.boxes)
     except UserError as error:
         # what a foreign class raises may have many lines
         return " ".join(f"{job.choice.name} on sequence {name}: {error}".split())
@@ -238,7 +238,7 @@ def _check_names(names: list[str], what: str, mend: str) -> None:
 def _check_run(folder: Path, choice: TrackerChoice) -> dict[str, Any] | None:
     """What is known of an earlier run into the folder, if it was of the same tracker."""
     earlier = read_run(folder)
-    if earlier is None and folder.is_dir() and any(folder.glob("*.txt")):
+    if earlier is None and folder.is_dir() and find_files(folder, "*.txt"):
         raise UserError(f"{folder} holds results of another origin: give another folder of results")
     if earlier is not None and earlier["identity"] != choice.identity():
         before, now = earlier["identity"], choice.identity()
