@@ -63,8 +63,8 @@ def run(
         sequences: what to run over.
         results: folder of results; what it holds already is kept.
         jobs: sequences that are run side by side, in as many processes.
-        cluster: instead of processes here, the workers of a Dask scheduler (``tcp://host:port``) or of Ray
-            (``ray``, ``ray://host:port``); they must see the same files under the same names.
+        cluster: instead of processes here, the workers of a Dask scheduler (``tcp://host:port``); they must see the
+            same files under the same names.
         advance: told how many pairs are done, from time to time.
 
     Returns:
@@ -160,17 +160,6 @@ def _workers(address: str) -> Iterator[None]:
     """Let joblib send its work to a cluster."""
     from joblib import parallel_config
 
-    if address.partition(":")[0] == "ray":
-        try:
-            import ray
-            from ray.util.joblib import register_ray
-        except ModuleNotFoundError:
-            raise UserError("a Ray cluster needs Ray: pip install ray") from None
-        ray.init(address=None if address == "ray" else address, ignore_reinit_error=True)
-        register_ray()
-        with parallel_config(backend="ray"):
-            yield
-        return
     try:
         from dask.distributed import Client
     except ModuleNotFoundError:
