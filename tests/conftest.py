@@ -10,6 +10,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import shutil
 from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -40,6 +41,35 @@ def tiny_model(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="session")
+def make_network() -> Callable[..., Any]:
+    """A narrow network whose every value is random, so that two never agree by chance; of uneven or the given widths.
+
+    The signal keeps its strength from layer to layer, and the statistics of BatchNorm are not the identity.
+    """
+    import torch
+
+    from psiamfcpp.models import SiamFCpp
+
+    uneven = {name: 3 + number % 4 for number, name in enumerate(FULL_WIDTHS)}
+
+    def make(seed: int = 0, widths: dict[str, int] | None = None, search_size: int = 303) -> SiamFCpp:
+        network = SiamFCpp(ModelSpec(widths=widths or uneven, search_size=search_size))
+        generator = torch.Generator().manual_seed(seed)
+        with torch.no_grad():
+            for name, value in network.state_dict().items():
+                if name.endswith("running_var") or name.endswith("bn.weight"):
+                    value.uniform_(0.5, 1.5, generator=generator)
+                elif value.ndim == 4:
+                    value.normal_(0, (1 / value[0].numel()) ** 0.5, generator=generator)
+                elif value.is_floating_point():
+                    value.normal_(0, 0.3, generator=generator)
+            network.backbone.conv1.conv.weight /= 100
+        return network.eval()
+
+    return make
+
+
+@pytest.fixture(scope="session")
 def tiny_graphs(tiny_model: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The graphs of `tiny_model`."""
     pytest.importorskip("onnx")
@@ -58,6 +88,23 @@ def shared_data() -> Path:
     if not path.is_dir():
         pytest.skip(f"no shared research data at {path} (PSIAMFCPP_SHARED names another folder)")
     return path
+
+
+@pytest.fixture
+def disk_of() -> Callable[[int], AbstractContextManager[None]]:
+    """A block in which no file grows beyond a number of bytes, as on a full disk."""
+    resource = pytest.importorskip("resource")
+
+    @contextmanager
+    def limited(size: int) -> Iterator[None]:
+        before = resource.getrlimit(resource.RLIMIT_FSIZE)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
+        try:
+            yield
+        finally:
+            resource.setrlimit(resource.RLIMIT_FSIZE, before)
+
+    return limited
 
 
 class BlobEngine:

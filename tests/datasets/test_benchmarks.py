@@ -27,6 +27,23 @@ def test_labels_of_a_plain_folder_stand_as_published(name: str, lay):
 
 
 @pytest.mark.parametrize(
+    ("name", "label"),
+    [
+        *((name, "{}.txt") for name in BENCHMARKS),
+        ("uav123", "anno/UAV123/{}.txt"),
+        ("uavdt", "anno/{}_gt.txt"),
+        ("visdrone2018", "annotations/{}.txt"),
+        ("dtb70", "{}/groundtruth_rect.txt"),
+        ("otb100", "{}/groundtruth_rect.txt"),
+        ("folder", "deep/{}/groundtruth_rect.txt"),
+    ],
+)
+def test_hidden_files_beside_labels_are_passed_over(name: str, label: str, lay):
+    root = lay({label.format("a"): "1,2,3,4\n", label.format("._a"): "\0\5\26\7"})
+    assert list(BENCHMARKS[name].read_labels(root)) == ["a"]
+
+
+@pytest.mark.parametrize(
     ("name", "missing"),
     [
         ("uav123-10fps", "anno/UAV123_10fps/<sequence>.txt"),

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from psiamfcpp.datasets.folder import read_boxes
+from psiamfcpp.datasets.boxes import read_boxes
 from psiamfcpp.errors import UserError
 from psiamfcpp.evaluation.metrics import Convention, mean_scores
 from psiamfcpp.evaluation.results import find, read_result, score_results

@@ -199,7 +199,7 @@ def test_a_dask_cluster_of_two_workers(root: Path, module: str, tmp_path: Path) 
 def test_a_cluster_that_does_not_answer(root: Path, module: str, tmp_path: Path) -> None:
     pytest.importorskip("distributed", reason="dask[distributed] is not installed")
     sequences, choices = datasets.read("folder", root), [choose(f"{module}:Slow")]
-    for address in ("nonsense", "nothing://here:1"):
+    for address in ("nonsense", "nothing://here:1", "ray://here:1"):
         with pytest.raises(UserError, match=f"no Dask scheduler answers at {address}"):
             run(choices, "folder", root, sequences, tmp_path / "r", cluster=address)
 

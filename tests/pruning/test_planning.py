@@ -262,4 +262,4 @@ def test_files_that_cannot_be_read_or_written_are_refused(tmp_path: Path) -> Non
         with pytest.raises(UserError, match="cannot be read"):
             read(tmp_path / "absent.json")
     with pytest.raises(UserError, match="cannot be written"):
-        Plan({"a": [0]}).write(tmp_path / "absent" / "plan.json")
+        Plan({"a": [0]}).write(tmp_path)

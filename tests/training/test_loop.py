@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
 
@@ -183,6 +184,37 @@ def test_other_options_in_the_folder_of_a_run(start: Start, other: TrainOptions)
         list(start(other))
 
 
+@pytest.mark.parametrize("path", [("clip",), ("losses", "focal_alpha"), ("pairs", "clip_share"), ("losses",)])
+def test_a_run_from_before_an_option_was_born_goes_on_with_its_default(
+    start: Start, tmp_path: Path, path: tuple[str, ...]
+):
+    killed = start(options(4), save_every=2)
+    next(killed)
+    killed.close()
+    state = torch.load(tmp_path / "run" / "state.pt", weights_only=True)
+    old = json.loads(state["options"])
+    *above, last = path
+    del (old[above[0]] if above else old)[last]
+    torch.save({**state, "options": json.dumps(old)}, tmp_path / "run" / "state.pt")
+    with pytest.raises(UserError, match="other options"):
+        list(start(options(4, clip=9.0, losses=LossWeights(focal_alpha=0.5), pairs=PairOptions(clip_share=0.1))))
+    assert [row["step"] for row in start(options(4))] == [4]
+
+
+def test_a_schedule_without_a_layer_is_not_filled_up_from_the_default(start: Start):
+    list(start(options(2, unfreeze={"conv5": 0.5})))
+    assert "conv4" in Schedule(steps=2).unfreeze
+    with pytest.raises(UserError, match="other options"):
+        list(start(options(2, unfreeze={**Schedule(steps=2).unfreeze, "conv5": 0.5})))
+
+
+def test_losses_leave_the_device_once_per_row_of_the_log(start: Start, monkeypatch: pytest.MonkeyPatch):
+    read, reads = torch.Tensor.__float__, []
+    monkeypatch.setattr(torch.Tensor, "__float__", lambda tensor: reads.append(tensor) or read(tensor))
+    (row,) = start(options(5))
+    assert len(reads) == len(row.keys() - {"step", "lr", "pairs_per_s", "validation"})
+
+
 def test_how_a_run_is_carried_out_may_change(start: Start):
     next(start(options(4), save_every=2))
     (row,) = start(options(4), save_every=3, validate_every=7, cache_gb=0.1, validation_pairs=4)
@@ -210,6 +242,21 @@ def test_an_output_that_is_a_file(start: Start, tmp_path: Path):
     with pytest.raises(UserError, match=r"run folder .*run cannot be made"):
         list(start(options(2)))
     assert (tmp_path / "run").read_text() == "mine"
+
+
+@pytest.mark.parametrize(("share", "named"), [(0.0, "log.jsonl"), (0.5, "model.safetensors"), (1.5, "state.pt")])
+def test_a_full_disk_is_named_and_the_run_can_go_on(
+    start: Start, tmp_path: Path, disk_of: Callable[[int], AbstractContextManager[None]], share: float, named: str
+):
+    list(start(options(4), folder="straight"))
+    wanted = (tmp_path / "straight" / "model.safetensors").read_bytes()
+    next(start(options(4), save_every=2))
+    with disk_of(int(share * len(wanted))), pytest.raises(UserError, match=f"{named} cannot be written") as caught:
+        list(start(options(4), save_every=2))
+    assert "\n" not in str(caught.value)
+    assert not [path for path in (tmp_path / "run").iterdir() if path.name.endswith(".part")]
+    list(start(options(4), save_every=2))
+    assert (tmp_path / "run" / "model.safetensors").read_bytes() == wanted
 
 
 def changed(before: dict[str, Tensor], after: dict[str, Tensor]) -> set[str]:

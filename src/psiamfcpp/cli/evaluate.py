@@ -37,7 +37,7 @@ def evaluate(
             dcf:kcf, or module:pkg.mod:Class with init(image, box) and update(image).
         results: folder to keep boxes and times in, written sequence by sequence; what it holds is not run again.
         jobs: sequences that are run side by side; leave it at 1 to measure speed.
-        cluster: run on a cluster instead, that of a Dask scheduler (tcp://HOST:PORT) or of Ray (ray://HOST:PORT).
+        cluster: run on the workers of a Dask scheduler (tcp://HOST:PORT) instead.
         allow_missing: score a tracker on the sequences that could be run, and say how many could not.
         options: how our models run.
         json: print one JSON object.

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
-from psiamfcpp import __version__, datasets
+from psiamfcpp import __version__
 from psiamfcpp.cli.output import print_json, progress
-from psiamfcpp.datasets.split import split
+from psiamfcpp.datasets.choice import DataChoice
 from psiamfcpp.errors import UserError
 
 if TYPE_CHECKING:
@@ -64,9 +64,10 @@ def prune(
     after = prune_siamfcpp(before, chosen)
     step = {"from": Path(model).name, "plan": plan.name, "widths_before": before.spec.widths, "version": __version__}
     if data:
-        after = _refit(after, before, chosen, data, images, seed, held_out_every)
+        drawn_from = DataChoice(data, held_out_every)
+        after = _refit(after, before, chosen, drawn_from, images, seed)
         step["refit"] = {
-            "data": [datasets.named(entry) for entry in data],
+            "data": drawn_from.named,
             "images": images,
             "seed": seed,
             "held_out_every": held_out_every,
@@ -96,19 +97,16 @@ def _refit(
     after: SiamFCpp,
     before: SiamFCpp,
     plan: Plan,
-    data: tuple[str, ...],
+    data: DataChoice,
     images: int,
     seed: int,
-    held_out_every: int,
 ) -> SiamFCpp:
     """The pruned network with weights fitted on so many pairs of crops."""
     from psiamfcpp.pruning.crops import batches, plain_pairs
     from psiamfcpp.pruning.groups import siamfcpp_groups
     from psiamfcpp.pruning.refitting import refit
 
-    sequences = [s for entry in data for s in datasets.read_entry(entry)]
-    drawn_from, _ = split(sequences, held_out_every)
-    pairs = plain_pairs(drawn_from, before.spec.search_size, seed)
+    pairs = plain_pairs(data.training, before.spec.search_size, seed)
     crops = list(batches(pairs, 0, images, _BATCH))
     with progress() as bar:
         return refit(

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
-from psiamfcpp import __version__, datasets
+from psiamfcpp import __version__
 from psiamfcpp.cli.output import notes
-from psiamfcpp.datasets.split import split
+from psiamfcpp.datasets.choice import DataChoice
 from psiamfcpp.training.options import RunOptions, TrainOptions
 
 if TYPE_CHECKING:
@@ -46,14 +46,14 @@ def train(
     from psiamfcpp.training.loop import LOG_FILE
     from psiamfcpp.training.loop import train as run_training
 
-    sequences = [s for entry in data for s in datasets.read_entry(entry)]
-    training, held_out = split(sequences, held_out_every)
+    chosen = DataChoice(data, held_out_every)
+    training, held_out = chosen.training, chosen.held_out
     torch.manual_seed(options.seed)
     model = _start(init, options.seed)
     model.spec = dataclasses.replace(
         model.spec,
         search_size=options.pairs.search_size,
-        provenance=_provenance(model.spec.provenance, init, data, options, note),
+        provenance=_provenance(model.spec.provenance, init, chosen, options, note),
     )
     first = os.environ.get("RANK", "0") == "0"
     if first:
@@ -86,12 +86,12 @@ def _start(init: Path, seed: int) -> SiamFCpp:
 
 
 def _provenance(
-    before: dict[str, Any], init: Path, data: tuple[str, ...], options: TrainOptions, note: str
+    before: dict[str, Any], init: Path, data: DataChoice, options: TrainOptions, note: str
 ) -> dict[str, Any]:
     """What is known of the model's making: the stages before, and this one."""
     stage = {
         "init": init.name,
-        "data": [datasets.named(entry) for entry in data],
+        "data": data.named,
         "options": _described(options),
         "version": __version__,
     }

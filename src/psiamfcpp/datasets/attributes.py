@@ -95,7 +95,7 @@ def _columns(dataset: str, folder: Path) -> tuple[str, ...]:
 
 def _read(path: Path, columns: int) -> list[bool]:
     try:
-        flags = [float(word) for word in path.read_text().replace(",", " ").split()]
+        flags = [float(word) for word in path.read_text("utf-8-sig").replace(",", " ").split()]
         if len(flags) != columns or not {0.0, 1.0}.issuperset(flags):
             raise ValueError(f"it holds {len(flags)} numbers")
     except (OSError, ValueError) as error:

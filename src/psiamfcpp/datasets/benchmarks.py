@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Literal, NoReturn
 
 from psiamfcpp.datasets import dtb70, folder, got10k_val, otb100, uavdt, visdrone2018
-from psiamfcpp.datasets.folder import read_boxes
+from psiamfcpp.datasets.boxes import find_files, read_boxes
 from psiamfcpp.datasets.sequence import Sequence
 from psiamfcpp.datasets.uav123 import UAV20L, UAV123, UAV123_10FPS, Uav123
 from psiamfcpp.errors import UserError
@@ -59,7 +59,7 @@ class Benchmark:
             UserError: there is none, or one cannot be read or is empty.
         """
         self._check(root)
-        files = self.label_files(root) or {path.stem: path for path in sorted(root.glob("*.txt"))}
+        files = self.label_files(root) or {path.stem: path for path in find_files(root, "*.txt")}
         labels = {name: read_boxes(path) for name, path in files.items()}
         empty = next((name for name, boxes in labels.items() if not len(boxes)), None)
         if empty is not None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from psiamfcpp.datasets.folder import read_boxes
+from psiamfcpp.datasets.boxes import find_files, read_boxes
 from psiamfcpp.datasets.sequence import Sequence, labelled, require
 from psiamfcpp.images import image_files
 
@@ -13,7 +13,7 @@ LAYOUT = "<root>/<sequence>/img/*.jpg and <root>/<sequence>/groundtruth_rect.txt
 
 def label_files(root: Path) -> dict[str, Path]:
     """The label file of each sequence, by name."""
-    return {path.parent.name: path for path in sorted(root.glob("*/groundtruth_rect.txt"))}
+    return {path.parent.name: path for path in find_files(root, "*/groundtruth_rect.txt")}
 
 
 def read(root: Path) -> list[Sequence]:

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from psiamfcpp.datasets.folder import read_boxes
+from psiamfcpp.datasets.boxes import read_boxes
 from psiamfcpp.datasets.sequence import Sequence, require
 from psiamfcpp.errors import UserError
 from psiamfcpp.images import image_files
@@ -45,7 +45,7 @@ def read_labels(path: Path) -> NDArray[np.int64]:
         UserError: the file cannot be read or holds something else.
     """
     try:
-        return np.array([int(v) for v in path.read_text().replace(",", " ").split()], dtype=np.int64)
+        return np.array([int(v) for v in path.read_text("utf-8-sig").replace(",", " ").split()], dtype=np.int64)
     except (OSError, ValueError) as error:
         raise UserError(f"labels {path} cannot be read ({error}): one integer a frame is expected") from None
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from psiamfcpp.datasets.folder import read_boxes
+from psiamfcpp.datasets.boxes import read_boxes
 from psiamfcpp.datasets.sequence import Sequence, labelled, require
 from psiamfcpp.images import image_files
 

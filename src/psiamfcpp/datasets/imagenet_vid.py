@@ -10,6 +10,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 
+from psiamfcpp.datasets.boxes import find_files
 from psiamfcpp.datasets.sequence import Sequence, require
 from psiamfcpp.errors import UserError
 from psiamfcpp.geometry import from_corners
@@ -29,7 +30,7 @@ def read(root: Path) -> list[Sequence]:
         UserError: there is no snippet, an annotation cannot be read, or its frame is missing.
     """
     labels = require(root / "Annotations" / "VID", LAYOUT)
-    snippets = [p for part in ("train/*/*", "val/*") for p in sorted(labels.glob(part)) if p.is_dir()]
+    snippets = [p for part in ("train/*/*", "val/*") for p in find_files(labels, part) if p.is_dir()]
     if not snippets:
         raise UserError(f"{labels} holds no snippet; expected layout: {LAYOUT}")
     data = root / "Data" / "VID"
@@ -39,7 +40,7 @@ def read(root: Path) -> list[Sequence]:
 def _tracks(labels: Path, data: Path) -> list[Sequence]:
     images = {path.stem: path for path in image_files(require(data, LAYOUT).iterdir())}
     tracks: dict[str, list[tuple[Path, list[float]]]] = {}
-    for label in sorted(labels.glob("*.xml")):
+    for label in find_files(labels, "*.xml"):
         for track, corners in _objects(label):
             if label.stem not in images:
                 raise UserError(f"{data / label.stem}.JPEG is missing; expected layout: {LAYOUT}")

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from psiamfcpp.datasets.folder import read_boxes
+from psiamfcpp.datasets.boxes import find_files, read_boxes
 from psiamfcpp.datasets.got10k import read_labels
 from psiamfcpp.datasets.sequence import Sequence, require
 from psiamfcpp.errors import UserError
@@ -29,7 +29,7 @@ def read(root: Path) -> list[Sequence]:
     Raises:
         UserError: there is none, a file is missing or unreadable, or the frames and labels differ in number.
     """
-    named = [(_class_and_number(p.name), p) for p in (*root.glob("*-*"), *root.glob("*/*-*"))]
+    named = [(_class_and_number(p.name), p) for p in (*find_files(root, "*-*"), *find_files(root, "*/*-*"))]
     found = sorted((key, path) for key, path in named if key is not None)
     if not found:
         raise UserError(f"{root} holds no sequence; expected layout: {LAYOUT}")

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from psiamfcpp.datasets.folder import read_boxes
+from psiamfcpp.datasets.boxes import find_files, read_boxes
 from psiamfcpp.datasets.sequence import Sequence, require
 from psiamfcpp.errors import UserError
 from psiamfcpp.images import image_files
@@ -22,7 +22,7 @@ _FIRST_FRAME = {"BlurCar1": 247, "BlurCar3": 3, "BlurCar4": 18, "David": 300}
 def label_files(root: Path) -> dict[str, Path]:
     """The label file of each target, by the sequence's name, with ``-1`` or ``-2`` where a file is numbered."""
     files = {}
-    for path in sorted(root.glob("*/groundtruth_rect*.txt")):
+    for path in find_files(root, "*/groundtruth_rect*.txt"):
         number = path.stem.removeprefix("groundtruth_rect").lstrip(".")
         # The benchmark follows the second target of Human4 alone, whatever its first file holds.
         if (path.parent.name, number) != ("Human4", "1"):

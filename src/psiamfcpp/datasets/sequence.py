@@ -5,6 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
+
 from psiamfcpp.errors import UserError
 from psiamfcpp.geometry import FloatArray
 
@@ -23,6 +26,16 @@ class Sequence:
 
     def __len__(self) -> int:
         return len(self.frames)
+
+    def usable(self, min_side: float = 0.0) -> NDArray[np.intp]:
+        """Return the rows ``(k,)`` whose box is four finite numbers with both sides above 0 and at least ``min_side``.
+
+        Args:
+            min_side: pixels.
+        """
+        sides = self.boxes[:, 2:]
+        # A comparison with NaN is False.
+        return np.flatnonzero(np.isfinite(self.boxes).all(axis=1) & ((sides > 0) & (sides >= min_side)).all(axis=1))
 
 
 def require(path: Path, layout: str) -> Path:

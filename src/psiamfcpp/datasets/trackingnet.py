@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from psiamfcpp.datasets.folder import read_boxes
+from psiamfcpp.datasets.boxes import find_files, read_boxes
 from psiamfcpp.datasets.sequence import Sequence, require
 from psiamfcpp.errors import UserError
 from psiamfcpp.images import image_files
@@ -30,7 +30,7 @@ def read(root: Path) -> list[Sequence]:
         UserError: there is none, a file is missing or unreadable, or the frames and boxes differ in number.
     """
     chunks = [root] if (root / "anno").is_dir() else sorted(p for p in root.glob("TRAIN_*") if p.is_dir())
-    truths = [truth for chunk in chunks for truth in sorted(require(chunk / "anno", LAYOUT).glob("*.txt"))]
+    truths = [truth for chunk in chunks for truth in find_files(require(chunk / "anno", LAYOUT), "*.txt")]
     if not truths:
         raise UserError(f"{root} holds no sequence; expected layout: {LAYOUT}")
     return [_sequence(truth) for truth in truths]

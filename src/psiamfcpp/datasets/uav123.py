@@ -13,7 +13,7 @@ import re
 from dataclasses import dataclass
 from pathlib import Path
 
-from psiamfcpp.datasets.folder import read_boxes
+from psiamfcpp.datasets.boxes import find_files, read_boxes
 from psiamfcpp.datasets.sequence import Sequence, labelled, require
 from psiamfcpp.errors import UserError
 
@@ -50,7 +50,7 @@ class Uav123:
 
     def label_files(self, root: Path) -> dict[str, Path]:
         """The label file of each sequence, by name."""
-        return {path.stem: path for path in sorted((root / "anno" / self.labels).glob("*.txt"))}
+        return {path.stem: path for path in find_files(root / "anno" / self.labels, "*.txt")}
 
     def read(self, root: Path) -> list[Sequence]:
         """Every sequence, by name.
@@ -62,7 +62,7 @@ class Uav123:
         folders = require(root / "data_seq" / self.frames, self.layout) if files else root
         ranges = self._ranges(root)
         # Parts of one video share its folder: list it once.
-        present = functools.cache(lambda folder: {path.name for path in require(folder, self.layout).glob("*.jpg")})
+        present = functools.cache(lambda folder: {p.name for p in require(folder, self.layout).glob("[!.]*.jpg")})
         sequences = []
         for name, truth in files.items():
             boxes = read_boxes(truth)

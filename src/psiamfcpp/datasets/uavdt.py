@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from psiamfcpp.datasets.folder import read_boxes
+from psiamfcpp.datasets.boxes import find_files, read_boxes
 from psiamfcpp.datasets.sequence import Sequence, labelled, require
 from psiamfcpp.images import image_files
 
@@ -15,7 +15,7 @@ def label_files(root: Path) -> dict[str, Path]:
     """The label file of each sequence, by name; ``root`` may also be the folder ``anno`` itself."""
     # Files of attributes, which lie beside the labels, end in _att.txt.
     folder = root / "anno" if (root / "anno").is_dir() else root
-    return {path.name.removesuffix("_gt.txt"): path for path in sorted(folder.glob("*_gt.txt"))}
+    return {path.name.removesuffix("_gt.txt"): path for path in find_files(folder, "*_gt.txt")}
 
 
 def read(root: Path) -> list[Sequence]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from psiamfcpp.datasets.folder import read_boxes
+from psiamfcpp.datasets.boxes import find_files, read_boxes
 from psiamfcpp.datasets.sequence import Sequence, labelled, require
 from psiamfcpp.images import image_files
 
@@ -13,7 +13,7 @@ LAYOUT = "<root>/sequences/<sequence>/img0000001.jpg and <root>/annotations/<seq
 
 def label_files(root: Path) -> dict[str, Path]:
     """The label file of each sequence, by name."""
-    return {path.stem: path for path in sorted((root / "annotations").glob("*.txt"))}
+    return {path.stem: path for path in find_files(root / "annotations", "*.txt")}
 
 
 def read(root: Path) -> list[Sequence]:

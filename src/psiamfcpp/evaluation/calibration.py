@@ -27,6 +27,7 @@ UNSURE_BELOW, LOST_BELOW = 0.5, 0.01
 FALSE_REGAIN_SHARE = 0.005
 _FOUND_OVERLAP = 0.4
 _FRAMES_A_CLIP = 16
+_SMALLEST_SIDE = 1.0
 
 
 @dataclass(frozen=True)
@@ -79,7 +80,7 @@ def gather(tracker: Tracker, sequences: list[Sequence], seed: int = 0) -> Looks:
     rows: list[tuple[float, float, bool, bool, int]] = []
     for number, sequence in enumerate(sequences):
         other = sequences[(number + 1 + int(rng.integers(len(sequences) - 1))) % len(sequences)]
-        frames = np.flatnonzero((np.nan_to_num(sequence.boxes)[:, 2:] > 1).all(axis=1))
+        frames = sequence.usable(_SMALLEST_SIDE)
         if len(frames) < 2:
             continue
         tracker.init(read_image(sequence.frames[frames[0]]), sequence.boxes[frames[0]])

@@ -34,10 +34,10 @@ def first_label(sequence: Sequence) -> int:
     Raises:
         UserError: there is none.
     """
-    usable = np.isfinite(sequence.boxes).all(axis=1) & (sequence.boxes[:, 2:] > 0).all(axis=1)
-    if not usable.any():
+    usable = sequence.usable()
+    if not len(usable):
         raise UserError("no label is a box that a tracker can begin with: mend the labels")
-    return int(usable.argmax())
+    return int(usable[0])
 
 
 def one_pass(tracker: Tracker, sequence: Sequence) -> Pass:

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from psiamfcpp.datasets.folder import read_boxes
+from psiamfcpp.datasets.boxes import read_boxes
 from psiamfcpp.errors import UserError
 from psiamfcpp.evaluation.metrics import Convention, Scores, score_sequence
 from psiamfcpp.geometry import FloatArray
@@ -128,7 +128,7 @@ def read_times(path: Path) -> FloatArray:
         UserError: the file is missing, or a line holds no number.
     """
     try:
-        return np.array([float(line.replace(",", " ").split()[0]) for line in path.read_text().splitlines()])
+        return np.array([float(line.replace(",", " ").split()[0]) for line in path.read_text("utf-8-sig").splitlines()])
     except (OSError, ValueError, IndexError) as error:
         raise UserError(f"times {path} cannot be read ({error}): run the tracker again") from None
 

@@ -21,11 +21,11 @@ import numpy as np
 
 from psiamfcpp import __version__
 from psiamfcpp.datasets import Sequence
-from psiamfcpp.datasets.folder import read_boxes
+from psiamfcpp.datasets.boxes import find_files, read_boxes, write_boxes
 from psiamfcpp.errors import UserError
-from psiamfcpp.evaluation.files import write_whole
 from psiamfcpp.evaluation.ope import first_label, one_pass
 from psiamfcpp.evaluation.results import Files, read_times
+from psiamfcpp.files import write_whole
 from psiamfcpp.trackers import Tracker, TrackerChoice
 
 RUN_FILE = "run.json"
@@ -63,8 +63,8 @@ def run(
         sequences: what to run over.
         results: folder of results; what it holds already is kept.
         jobs: sequences that are run side by side, in as many processes.
-        cluster: instead of processes here, the workers of a Dask scheduler (``tcp://host:port``) or of Ray
-            (``ray``, ``ray://host:port``); they must see the same files under the same names.
+        cluster: instead of processes here, the workers of a Dask scheduler (``tcp://host:port``); they must see the
+            same files under the same names.
         advance: told how many pairs are done, from time to time.
 
     Returns:
@@ -160,17 +160,6 @@ def _workers(address: str) -> Iterator[None]:
     """Let joblib send its work to a cluster."""
     from joblib import parallel_config
 
-    if address.partition(":")[0] == "ray":
-        try:
-            import ray
-            from ray.util.joblib import register_ray
-        except ModuleNotFoundError:
-            raise UserError("a Ray cluster needs Ray: pip install ray") from None
-        ray.init(address=None if address == "ray" else address, ignore_reinit_error=True)
-        register_ray()
-        with parallel_config(backend="ray"):
-            yield
-        return
     try:
         from dask.distributed import Client
     except ModuleNotFoundError:
@@ -211,7 +200,7 @@ def _attempt(tracker: Tracker, job: Job) -> str | None:
         # the times first: a result stands for a sequence that is done
         times = zip(done.seconds, done.decoding, strict=True)
         write_whole(job.folder / f"{name}_time.txt", "".join(f"{t:.6f},{d:.6f}\n" for t, d in times))
-        write_whole(job.folder / f"{name}.txt", "".join(",".join(f"{v:.4f}" for v in box) + "\n" for box in done.boxes))
+        write_boxes(job.folder / f"{name}.txt", done.boxes)
     except UserError as error:
         # what a foreign class raises may have many lines
         return " ".join(f"{job.choice.name} on sequence {name}: {error}".split())
@@ -238,7 +227,7 @@ def _check_names(names: list[str], what: str, mend: str) -> None:
 def _check_run(folder: Path, choice: TrackerChoice) -> dict[str, Any] | None:
     """What is known of an earlier run into the folder, if it was of the same tracker."""
     earlier = read_run(folder)
-    if earlier is None and folder.is_dir() and any(folder.glob("*.txt")):
+    if earlier is None and folder.is_dir() and find_files(folder, "*.txt"):
         raise UserError(f"{folder} holds results of another origin: give another folder of results")
     if earlier is not None and earlier["identity"] != choice.identity():
         before, now = earlier["identity"], choice.identity()

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from psiamfcpp.crop import mean_colour, target_crop
 from psiamfcpp.datasets import Sequence
@@ -19,7 +19,7 @@ from psiamfcpp.spec import ModelSpec
 _SHIFT, _SCALE = 0.4, 1.2
 # Frames between template and search crop, at most.
 _GAP = 30
-_SMALLEST = 5
+_SMALLEST_SIDE = 5.0
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ def sample(sequences: list[Sequence], spec: ModelSpec, count: int, seed: int = 0
     rng = np.random.default_rng(seed)
     by_source: dict[str, list[Sequence]] = {}
     for sequence in sequences:
-        if len(_rows(sequence)):
+        if len(sequence.usable(_SMALLEST_SIDE)):
             by_source.setdefault(sequence.source, []).append(sequence)
     if not by_source:
         raise UserError("the data hold no usable box: check the folders given")
@@ -66,7 +66,7 @@ def rendered(spec: ModelSpec, count: int) -> list[Pair]:
 
 
 def _pair(sequence: Sequence, spec: ModelSpec, rng: np.random.Generator) -> Pair:
-    rows = _rows(sequence)
+    rows = sequence.usable(_SMALLEST_SIDE)
     first = int(rng.choice(rows))
     later = int(rng.choice(rows[np.abs(rows - first) <= _GAP]))
     images = (read_image(sequence.frames[row]) for row in (first, later))
@@ -83,10 +83,6 @@ def _crops(
     grow_w, grow_h = _SCALE ** rng.uniform(-1, 1, 2)
     around = (cx + dx * w, cy + dy * h, w * grow_w, h * grow_h)
     return Pair(template, target_crop(later, around, spec.search_size, size, fill))
-
-
-def _rows(sequence: Sequence) -> NDArray[np.intp]:
-    return np.flatnonzero((np.nan_to_num(sequence.boxes)[:, 2:] >= _SMALLEST).all(axis=1))
 
 
 def _target(box: ArrayLike) -> tuple[float, float, float, float]:

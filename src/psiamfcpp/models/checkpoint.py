@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import contextlib
 from pathlib import Path
 
+import safetensors.torch
 import torch
 from safetensors import SafetensorError, safe_open
-from safetensors.torch import save_file
 from torch import Tensor
 
 from psiamfcpp.errors import UserError
+from psiamfcpp.files import write_whole
 from psiamfcpp.models.network import SiamFCpp
 from psiamfcpp.spec import ModelSpec
 from psiamfcpp.zoo import weights_path
@@ -48,7 +48,7 @@ def read(path: Path) -> tuple[ModelSpec, dict[str, Tensor]]:
 
 
 def save(path: Path, model: SiamFCpp, dtype: torch.dtype = torch.float32) -> None:
-    """Write a checkpoint under a temporary name, then rename it.
+    """Write a checkpoint, completely or not at all; its folder is made.
 
     Args:
         path: where to, normally ``*.safetensors``.
@@ -59,14 +59,7 @@ def save(path: Path, model: SiamFCpp, dtype: torch.dtype = torch.float32) -> Non
         UserError: the file cannot be written.
     """
     tensors = {key: _as_stored(value.detach().cpu(), dtype).contiguous() for key, value in model.state_dict().items()}
-    temporary = path.parent / (path.name + ".part")
-    try:
-        save_file(tensors, str(temporary), metadata={"psiamfcpp": model.spec.to_json()})
-        temporary.replace(path)
-    except (OSError, SafetensorError) as error:
-        with contextlib.suppress(OSError):
-            temporary.unlink(missing_ok=True)
-        raise UserError(f"checkpoint {path} cannot be written: {error}") from None
+    write_whole(path, safetensors.torch.save(tensors, {"psiamfcpp": model.spec.to_json()}))
 
 
 def fit(model: SiamFCpp, weights: dict[str, Tensor], origin: str) -> None:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from psiamfcpp.files import whole
 from psiamfcpp.pruning.table import RankTable
 
 
@@ -16,6 +17,9 @@ def draw_ranks(table: RankTable, picture: Path) -> None:
     Args:
         table: the ranks.
         picture: PNG to write.
+
+    Raises:
+        UserError: the picture cannot be written.
     """
     import matplotlib
 
@@ -42,7 +46,6 @@ def draw_ranks(table: RankTable, picture: Path) -> None:
     panels.flat[0].legend(fontsize=7)
     figure.supxlabel("filters, highest rank first", fontsize=9)
     figure.supylabel(f"share of the highest possible rank, {table.images} images", fontsize=9)
-    temporary = picture.with_name(picture.name + ".part")
-    figure.savefig(temporary, format="png", dpi=100)
+    with whole(picture) as temporary:
+        figure.savefig(temporary, format="png", dpi=100)
     plt.close(figure)
-    temporary.replace(picture)

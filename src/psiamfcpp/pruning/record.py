@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from psiamfcpp.errors import UserError
+from psiamfcpp.files import whole
 from psiamfcpp.geometry import FloatArray
 from psiamfcpp.pruning.ranking import Looked
 
@@ -32,13 +33,8 @@ def save_looks(path: Path, key: str, looks: list[dict[str, Looked]]) -> None:
         arrays[f"{name}/sizes"] = np.array(first.sizes)
         for k in range(len(first.ranks)):
             arrays[f"{name}/{k}"] = np.concatenate([seen[name].ranks[k] for seen in looks])
-    temporary = path.with_name(path.name + ".part")
-    try:
-        with temporary.open("wb") as file:
-            np.savez_compressed(file, **arrays)  # type: ignore[arg-type]
-        temporary.replace(path)
-    except OSError as error:
-        raise UserError(f"{path} cannot be written: {error.strerror or error}") from None
+    with whole(path) as temporary, temporary.open("wb") as file:
+        np.savez_compressed(file, **arrays)  # type: ignore[arg-type]
 
 
 def load_looks(path: Path, key: str) -> list[dict[str, Looked]]:

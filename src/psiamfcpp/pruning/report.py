@@ -6,7 +6,7 @@ import csv
 from pathlib import Path
 from typing import Any
 
-from psiamfcpp.errors import UserError
+from psiamfcpp.files import whole
 
 FIELDS = ("row", "share", "criterion", "tuned", "precision", "auc", "parameters", "gmacs")
 
@@ -43,19 +43,18 @@ def write_csv(results: list[dict[str, Any]], path: Path) -> None:
     Raises:
         UserError: the file cannot be written.
     """
-    temporary = path.with_name(path.name + ".part")
-    try:
-        with temporary.open("w", newline="") as file:
-            writer = csv.DictWriter(file, FIELDS)
-            writer.writeheader()
-            writer.writerows({field: r[field] for field in FIELDS} for r in results)
-        temporary.replace(path)
-    except OSError as error:
-        raise UserError(f"{path} cannot be written: {error.strerror or error}") from None
+    with whole(path) as temporary, temporary.open("w", newline="") as file:
+        writer = csv.DictWriter(file, FIELDS)
+        writer.writeheader()
+        writer.writerows({field: r[field] for field in FIELDS} for r in results)
 
 
 def draw_sensitivity(results: list[dict[str, Any]], picture: Path) -> None:
-    """Precision against the share kept, a line a row; without fine-tuning on the left, with it on the right."""
+    """Precision against the share kept, a line a row; without fine-tuning on the left, with it on the right.
+
+    Raises:
+        UserError: the picture cannot be written.
+    """
     import matplotlib
 
     matplotlib.use("Agg")
@@ -63,19 +62,18 @@ def draw_sensitivity(results: list[dict[str, Any]], picture: Path) -> None:
 
     stages = sorted({r["tuned"] for r in results if r["share"]})
     figure, panels = plt.subplots(1, len(stages), figsize=(5.5 * len(stages), 4), squeeze=False, layout="constrained")
-    whole = next((r["precision"] for r in results if r["row"] == "unpruned"), None)
+    unpruned = next((r["precision"] for r in results if r["row"] == "unpruned"), None)
     for axes, tuned in zip(panels.flat, stages, strict=True):
         shown = [r for r in results if r["share"] and r["tuned"] is tuned]
         for row in dict.fromkeys(r["row"] for r in shown):
             line = sorted((r["share"], r["precision"]) for r in shown if r["row"] == row)
             axes.plot(*zip(*line, strict=True), marker=".", label=row)
-        if whole is not None:
-            axes.axhline(whole, color="black", linestyle=":", label="unpruned")
+        if unpruned is not None:
+            axes.axhline(unpruned, color="black", linestyle=":", label="unpruned")
         axes.set(xlabel="share of filters kept", ylabel="precision", ylim=(0, 1))
         axes.set_title("fine-tuned" if tuned else "not fine-tuned", fontsize=10)
         axes.grid(alpha=0.3)
     panels.flat[0].legend(fontsize=7)
-    temporary = picture.with_name(picture.name + ".part")
-    figure.savefig(temporary, format="png", dpi=100)
+    with whole(picture) as temporary:
+        figure.savefig(temporary, format="png", dpi=100)
     plt.close(figure)
-    temporary.replace(picture)

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from psiamfcpp.errors import UserError
+from psiamfcpp.files import write_whole
 from psiamfcpp.geometry import FloatArray
 
 FORMAT = "psiamfcpp-ranks/1"
@@ -130,17 +131,12 @@ def read_json(path: Path, form: str, what: str) -> dict[str, Any]:
 
 
 def write_json(path: Path, data: Mapping[str, Any]) -> None:
-    """Write a JSON object under a temporary name, then rename it.
+    """Write a JSON object, completely or not at all.
 
     Raises:
         UserError: the file cannot be written.
     """
-    temporary = path.with_name(path.name + ".part")
-    try:
-        temporary.write_text(json.dumps(data) + "\n")
-        temporary.replace(path)
-    except OSError as error:
-        raise UserError(f"{path} cannot be written: {error.strerror or error}") from None
+    write_whole(path, json.dumps(data) + "\n")
 
 
 def _group_to_json(group: GroupRanks) -> dict[str, Any]:

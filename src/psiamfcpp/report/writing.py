@@ -7,7 +7,7 @@ from pathlib import Path
 import cv2
 
 from psiamfcpp.errors import UserError
-from psiamfcpp.evaluation.files import write_whole
+from psiamfcpp.files import write_whole
 from psiamfcpp.geometry import Image
 from psiamfcpp.report import page, plots, tables
 from psiamfcpp.report.compare import CONVENTIONS, Comparison

@@ -6,6 +6,7 @@ import json
 from pathlib import Path
 
 from psiamfcpp.errors import UserError
+from psiamfcpp.files import whole
 
 
 def draw_curve(log: Path, picture: Path) -> None:
@@ -16,7 +17,7 @@ def draw_curve(log: Path, picture: Path) -> None:
         picture: PNG to write.
 
     Raises:
-        UserError: the log is missing or damaged.
+        UserError: the log is missing or damaged, or the picture cannot be written.
     """
     import matplotlib
 
@@ -46,7 +47,6 @@ def draw_curve(log: Path, picture: Path) -> None:
     right.legend(loc="lower right")
     for axes in (left, right):
         axes.grid(alpha=0.3)
-    temporary = picture.with_name(picture.name + ".part")
-    figure.savefig(temporary, format="png", dpi=100)
+    with whole(picture) as temporary:
+        figure.savefig(temporary, format="png", dpi=100)
     plt.close(figure)
-    temporary.replace(picture)

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import contextlib
+import copy
 import ctypes
 import dataclasses
+import io
 import json
 import os
 import re
@@ -19,6 +21,7 @@ from torch import Tensor, nn
 
 from psiamfcpp.datasets import Sequence
 from psiamfcpp.errors import UserError
+from psiamfcpp.files import write_whole, writing
 from psiamfcpp.models.checkpoint import save
 from psiamfcpp.models.network import SiamFCpp
 from psiamfcpp.training.batches import Batch, numbered_batches
@@ -105,7 +108,7 @@ def train(
     except OSError as error:
         raise UserError(f"run folder {output} cannot be made: {error}") from None
     optimizer = _optimizer(model, options)
-    mean = {k: v.detach().clone() for k, v in model.state_dict().items()}
+    mean = copy.deepcopy(model)
     start = _resume(output / STATE_FILE, model, mean, optimizer, options)
     if rank == 0:
         _truncate_log(output / LOG_FILE, start)
@@ -114,10 +117,11 @@ def train(
     validation = (
         held_out_batches(held_out, options.pairs, run.validation_pairs, options.batch) if held_out and rank == 0 else []
     )
-    module: nn.Module = PairLoss(model, options.losses)
+    module: nn.Module  # made at the first step, as `free` is not a set of layers before
     free: frozenset[str] | None = None
     bf16 = run.bf16 and bf16_pays(device)
-    clock, sums = time.perf_counter(), []
+    clock, count = time.perf_counter(), 0
+    sums: dict[str, Tensor] = {}
     steps = options.schedule.steps
     for step, batch in enumerate(
         numbered_batches(sampler, options.batch, start, steps, rank, ranks, run.workers), start=start
@@ -134,22 +138,23 @@ def train(
         optimizer.step()
         optimizer.zero_grad()
         _follow(mean, model, min(options.ema, (step + 1) / (step + 10)) if options.ema else 0.0)
-        sums.append({k: float(v.detach()) for k, v in parts.items()})
+        count += 1
+        for name, value in parts.items():
+            # On the device: a float at every step would make the GPU wait for this process.
+            sums[name] = sums.get(name, 0) + value.detach().double()
 
         done = step + 1
         if rank == 0 and (done % 50 == 0 or done == steps):
-            row: dict[str, Any] = {k: sum(s[k] for s in sums) / len(sums) for k in sums[0]}
-            pairs = len(sums) * options.batch * ranks
+            row: dict[str, Any] = {name: float(total) / count for name, total in sums.items()}
             row |= {
                 "step": done,
                 "lr": options.schedule.rate(step),
-                "pairs_per_s": pairs / (time.perf_counter() - clock),
+                "pairs_per_s": count * options.batch * ranks / (time.perf_counter() - clock),
             }
             if validation and (done % run.validate_every == 0 or done == steps):
-                with _weights(model, mean):
-                    row["validation"] = dataclasses.asdict(pair_score(model, validation, bf16))
-            sums, clock = [], time.perf_counter()
-            with (output / LOG_FILE).open("a") as log:
+                row["validation"] = dataclasses.asdict(pair_score(mean, validation, bf16))
+            clock, count, sums = time.perf_counter(), 0, {}
+            with writing(output / LOG_FILE), (output / LOG_FILE).open("a") as log:
                 log.write(json.dumps(row) + "\n")
             yield row
         if rank == 0 and (done % run.save_every == 0 or done == steps):
@@ -221,30 +226,19 @@ def _thaw(
 
 
 @torch.no_grad()
-def _follow(mean: dict[str, Tensor], model: SiamFCpp, decay: float) -> None:
+def _follow(mean: SiamFCpp, model: SiamFCpp, decay: float) -> None:
     """Move the mean weights towards the model's."""
-    for key, value in model.state_dict().items():
-        if value.is_floating_point():
-            mean[key].lerp_(value, 1 - decay)
+    for old, new in zip(mean.state_dict().values(), model.state_dict().values(), strict=True):
+        if new.is_floating_point():
+            old.lerp_(new, 1 - decay)
         else:
-            mean[key].copy_(value)
-
-
-@contextlib.contextmanager
-def _weights(model: SiamFCpp, weights: dict[str, Tensor]) -> Iterator[None]:
-    """The model with other weights for a while."""
-    own = {k: v.detach().clone() for k, v in model.state_dict().items()}
-    model.load_state_dict(weights)
-    try:
-        yield
-    finally:
-        model.load_state_dict(own)
+            old.copy_(new)
 
 
 def _save(
     output: Path,
     model: SiamFCpp,
-    mean: dict[str, Tensor],
+    mean: SiamFCpp,
     optimizer: torch.optim.Optimizer,
     step: int,
     options: TrainOptions,
@@ -253,21 +247,21 @@ def _save(
         "step": step,
         "options": json.dumps(dataclasses.asdict(options)),
         "model": model.state_dict(),
-        "mean": mean,
+        "mean": mean.state_dict(),
         "optimizer": optimizer.state_dict(),
     }
     # The model first: a run killed between the two does these steps again, instead of ending with an old model.
-    with _weights(model, mean):
-        save(output / MODEL_FILE, model)
-    temporary = output / (STATE_FILE + ".part")
-    torch.save(state, temporary)
-    temporary.replace(output / STATE_FILE)
+    save(output / MODEL_FILE, mean)
+    # In memory first: torch says of a full disk only "iostream error", in a RuntimeError.
+    content = io.BytesIO()
+    torch.save(state, content)
+    write_whole(output / STATE_FILE, content.getbuffer())
 
 
 def _resume(
     path: Path,
     model: SiamFCpp,
-    mean: dict[str, Tensor],
+    mean: SiamFCpp,
     optimizer: torch.optim.Optimizer,
     options: TrainOptions,
 ) -> int:
@@ -279,18 +273,26 @@ def _resume(
     except Exception as error:  # a damaged pickle can fail in any way
         reason = (str(error) or type(error).__name__).splitlines()[0]
         raise UserError(f"{path} cannot be read ({reason}): remove it to begin the run anew") from None
-    # Runs begun before networks could have teachers, or learn their features, say nothing of them.
-    before = json.loads(state["options"])
-    before["teacher"] = {**dataclasses.asdict(TeacherOptions()), **before.get("teacher", {})}
-    if before != json.loads(json.dumps(dataclasses.asdict(options))):
+    before, now = _completed(json.loads(state["options"]), TrainOptions()), dataclasses.asdict(options)
+    if json.loads(json.dumps(before)) != json.loads(json.dumps(now)):
         raise UserError(f"{path} belongs to a run with other options: use another output folder, or remove it")
     if {k: v.shape for k, v in state["model"].items()} != {k: v.shape for k, v in model.state_dict().items()}:
         raise UserError(f"{path} belongs to a network of other widths: use another output folder, or remove it")
     model.load_state_dict(state["model"])
-    for key, value in state["mean"].items():
-        mean[key].copy_(value)
+    mean.load_state_dict(state["mean"])
     optimizer.load_state_dict(state["optimizer"])
     return int(state["step"])
+
+
+def _completed(stored: Any, default: Any) -> Any:
+    """Return stored options over the defaults: a run of an earlier version says nothing of options born later.
+
+    Their defaults must therefore mean what that version did.
+    """
+    if not dataclasses.is_dataclass(default) or isinstance(default, type):
+        return stored
+    given = {key: _completed(value, getattr(default, key, None)) for key, value in stored.items()}
+    return {**dataclasses.asdict(default), **given}
 
 
 def _truncate_log(path: Path, step: int) -> None:
@@ -298,9 +300,7 @@ def _truncate_log(path: Path, step: int) -> None:
     if not path.exists():
         return
     rows = [line for line in path.read_text().splitlines() if _step_of(line) <= step]
-    temporary = path.with_suffix(".part")
-    temporary.write_text("".join(row + "\n" for row in rows))
-    temporary.replace(path)
+    write_whole(path, "".join(row + "\n" for row in rows))
 
 
 def _step_of(line: str) -> float:

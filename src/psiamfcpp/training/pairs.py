@@ -289,6 +289,5 @@ class ImageCache:
 
 def _usable_rows(sequence: Sequence) -> NDArray[np.intp]:
     """Frames whose box is finite and not too small."""
-    with np.errstate(invalid="ignore"):
-        sides = np.sqrt(np.clip(sequence.boxes[:, 2:], 0, None).prod(axis=1))
-        return np.flatnonzero(np.isfinite(sequence.boxes).all(axis=1) & (sides >= _SMALLEST_SIDE))
+    rows = sequence.usable()
+    return rows[np.sqrt(sequence.boxes[rows, 2:].prod(axis=1)) >= _SMALLEST_SIDE]
