@@ -60,7 +60,7 @@ class Tracker:
 
     Args:
         model: name of a shipped model, or a model file.
-        engine: what runs the network; by default the fastest there is.
+        engine: what runs the network; by default onnx for exported graphs and torch for a checkpoint.
         threads: threads of the engine; by default all cores.
         search_size: side of the search crop in pixels; by default the model's own. 239 costs 40 % less than 303.
         plain: follow the published procedure exactly: no states, no search beyond the usual region. Use it to
