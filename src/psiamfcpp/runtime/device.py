@@ -1,4 +1,4 @@
-"""Where an engine computes: on the processor, or on a graphics card."""
+"""Where an engine computes: on the processor, or on a GPU."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ DeviceKind = Literal["cpu", "cuda", "tensorrt"]
 
 @dataclass(frozen=True, slots=True)
 class Device:
-    """The processor, or one graphics card and the library that computes on it."""
+    """The processor, or one GPU and the library that computes on it."""
 
     kind: DeviceKind = "cpu"
     index: int = 0
-    """number of the card, from 0"""
+    """number of the GPU, from 0"""
 
     def __str__(self) -> str:
         return self.kind if self.kind == "cpu" else f"{self.kind}:{self.index}"
@@ -34,6 +34,8 @@ def parse_device(text: str) -> Device:
     """
     found = re.fullmatch(r"cpu|(cuda|tensorrt)(?::(\d{1,3}))?", text, re.ASCII)
     if found is None:
-        raise UserError(f"unknown device {text!r}: known are cpu, cuda and tensorrt, with a card's number as in cuda:1")
+        raise UserError(
+            f"unknown device {text!r}: known are cpu, cuda and tensorrt, with the GPU's number as in cuda:1"
+        )
     kind, index = found.groups()
     return CPU if kind is None else Device(cast(DeviceKind, kind), int(index or 0))

@@ -36,7 +36,7 @@ class Engine(Protocol):
 
     @property
     def precision(self) -> str:
-        """Number format of the convolutions in `search`: ``fp32``, ``fp16`` or ``int8``."""
+        """Number format of the weights in `search`, as loaded: ``fp32``, ``fp16`` or ``int8``."""
         ...
 
     @property

@@ -52,7 +52,7 @@ class GraphEngine(ABC):
         (self._search,), other = self._open_search(search, side, total, 1, device)
         same_model(template, described, search, other)
         self.precision = graph_precision(search)
-        # Searches side by side share the cores of a processor; a card is given one after the other.
+        # Searches side by side share the cores of the processor; a GPU is given one after the other.
         shared = total if device.kind == "cpu" else 1
         self._lanes = Lanes(
             shared, self.search, lambda count: self._open_search(search, side, total // count, count, device)[0]

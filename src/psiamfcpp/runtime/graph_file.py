@@ -74,9 +74,5 @@ def same_model(template: Path, template_spec: ModelSpec, search: Path, search_sp
 
 def damaged(path: Path, error: Exception) -> UserError:
     """Return what to say of a file that the runtime cannot load."""
-    return UserError(f"graph {path} cannot be loaded ({reason(error)}): the file is damaged, export the model again")
-
-
-def reason(error: Exception) -> str:
-    """Return a runtime's error as part of one line."""
-    return (str(error).strip() or type(error).__name__).splitlines()[0][:200]
+    reason = (str(error).strip() or type(error).__name__).splitlines()[0][:200]
+    return UserError(f"graph {path} cannot be loaded ({reason}): the file is damaged, export the model again")

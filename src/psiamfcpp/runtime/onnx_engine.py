@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from functools import partial
+import contextlib
+import functools
+import io
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
@@ -15,14 +17,13 @@ from psiamfcpp.machine import usable_cores
 from psiamfcpp.runtime.device import CPU, Device, DeviceKind
 from psiamfcpp.runtime.engine import Float32Array
 from psiamfcpp.runtime.graph_engine import GraphEngine, Kernels, Template
-from psiamfcpp.runtime.graph_file import damaged, read_spec, reason
+from psiamfcpp.runtime.graph_file import damaged, read_spec
 from psiamfcpp.runtime.lanes import Search
 from psiamfcpp.spec import ModelSpec
 
 # Two wheels hold the same package onnxruntime: the one that was installed last overwrote the other's files, and
 # removing either takes files from both. So both must go before one is installed.
 _WHEELS = ("onnxruntime", "onnxruntime-gpu")
-_GPU_WHEEL = f"pip uninstall -y {' '.join(_WHEELS)} && pip install 'onnxruntime-gpu[cuda,cudnn]'"
 # What a provider leaves to others is computed by the next in the list.
 _PROVIDERS: dict[DeviceKind, tuple[str, ...]] = {
     "cpu": ("CPUExecutionProvider",),
@@ -38,14 +39,14 @@ class OnnxEngine(GraphEngine):
 
     def _open_template(self, path: Path, threads: int, device: Device) -> tuple[Template, ModelSpec]:
         session = _open(path, threads, None, device)
-        return partial(_template, session), _spec(session, path)
+        return functools.partial(_template, session), _spec(session, path)
 
     def _open_search(
         self, path: Path, search_size: int, threads: int, lanes: int, device: Device
     ) -> tuple[list[Search], ModelSpec]:
         # a session may run in many threads at once
         session = _open(path, threads, search_size, device)
-        return [partial(_search, session)] * lanes, _spec(session, path)
+        return [functools.partial(_search, session)] * lanes, _spec(session, path)
 
 
 def open_session(
@@ -69,15 +70,11 @@ def open_session(
     if search_size is not None:
         # With its size known at load, onnxruntime lays out memory and folds the grid of cells once.
         options.add_free_dimension_override_by_name("size", search_size)
-    # Without `enable_fallback=0` a failure on the card is printed, and the processor computes instead.
+    # With its fallback, onnxruntime prints a failure of the GPU and computes on the processor instead.
     session = onnxruntime.InferenceSession(graph, options, providers=providers, enable_fallback=0)
-    first = _PROVIDERS[device.kind][0]
-    if first not in session.get_providers():
+    if _PROVIDERS[device.kind][0] not in session.get_providers():
         # A provider whose libraries are missing is left out without an error.
-        raise UserError(
-            f"onnxruntime cannot start {first} on {device}: it needs a card, its driver, and the libraries that "
-            f"belong to onnxruntime-gpu {onnxruntime.__version__} (CUDA and cuDNN, for tensorrt TensorRT as well)"
-        )
+        raise _cannot(f"start {_PROVIDERS[device.kind][0]}", device, _preloaded())
     return session
 
 
@@ -87,21 +84,18 @@ def _providers(device: Device) -> list[Any]:
     Raises:
         UserError: the installed onnxruntime is damaged, or lacks the device's provider.
     """
-    if not hasattr(onnxruntime, "InferenceSession"):
-        raise UserError(
-            "the installed onnxruntime is incomplete, as after one of two wheels was removed: "
-            f"pip uninstall -y {' '.join(_WHEELS)} && pip install onnxruntime"
-        )
     wanted = _PROVIDERS[device.kind]
+    install = "onnxruntime" if device.kind == "cpu" else "'onnxruntime-gpu[cuda,cudnn]'"
+    fix = f"pip uninstall -y {' '.join(_WHEELS)} && pip install {install}"
+    if not hasattr(onnxruntime, "InferenceSession"):
+        raise UserError(f"the installed onnxruntime is incomplete, as after one of two wheels was removed: {fix}")
     if device.kind == "cpu":
         return list(wanted)
     if wanted[0] not in onnxruntime.get_available_providers():
-        both = all(map(_installed, _WHEELS))
-        what = f"{' and '.join(_WHEELS)} are both installed and overwrite each other" if both else ""
-        raise UserError(f"device {device}: {what or f'the installed onnxruntime has no {wanted[0]}'}: {_GPU_WHEEL}")
-    if hasattr(onnxruntime, "preload_dlls"):
-        # CUDA and cuDNN lie in wheels of their own, where the system's loader does not look.
-        onnxruntime.preload_dlls()
+        if all(map(_installed, _WHEELS)):
+            raise UserError(f"{' and '.join(_WHEELS)} are both installed and overwrite each other: {fix}")
+        raise UserError(f"device {device}: the installed onnxruntime has no {wanted[0]}: {fix}")
+    _preloaded()
     options = {
         "TensorrtExecutionProvider": {"device_id": device.index},
         # By default float convolutions are computed with 10 bits of mantissa (TF32), which is not fp32.
@@ -109,6 +103,27 @@ def _providers(device: Device) -> list[Any]:
         "CPUExecutionProvider": {},
     }
     return [(name, options[name]) for name in wanted]
+
+
+@functools.cache
+def _preloaded() -> str:
+    """Load CUDA and cuDNN from wheels of their own, where the system's loader does not look; return complaints."""
+    if not hasattr(onnxruntime, "preload_dlls"):
+        return ""
+    # It prints what it does not find.
+    with contextlib.redirect_stdout(io.StringIO()) as printed:
+        onnxruntime.preload_dlls()
+    return printed.getvalue()
+
+
+def _cannot(do: str, device: Device, complaint: str) -> UserError:
+    # The cause stands at the end of a line that begins with places in the source.
+    cause = f" ({lines[0][-200:].strip()})" if (lines := complaint.strip().splitlines()) else ""
+    own = " and TensorRT, which has an installer of its own" if device.kind == "tensorrt" else ""
+    return UserError(
+        f"onnxruntime cannot {do} on {device}{cause}: it needs a GPU, its driver, CUDA and cuDNN of the versions that "
+        f"pip install 'onnxruntime-gpu[cuda,cudnn]=={onnxruntime.__version__}' brings{own}"
+    )
 
 
 def _installed(wheel: str) -> bool:
@@ -126,7 +141,7 @@ def _open(path: Path, threads: int, search_size: int | None, device: Device) -> 
         raise
     except Exception as error:  # onnxruntime's errors have no common base of their own
         if device.kind != "cpu":
-            raise UserError(f"graph {path} cannot be loaded on {device}: {reason(error)}") from None
+            raise _cannot(f"load {path}", device, str(error) or type(error).__name__) from None
         raise damaged(path, error) from None
 
 

@@ -68,8 +68,8 @@ def open_engine(
         engine: one of `ENGINES`; by default onnx for exported graphs and torch for a checkpoint.
         threads: threads that the engine may use on the processor; by default as many as there are usable cores.
         search_size: side of the search crop in pixels; by default the model's own.
-        device: ``cpu``; ``cuda`` (engines onnx and torch) or ``tensorrt`` (onnx) for a graphics card, whose number
-            may follow as in ``cuda:1``. On ``cuda`` torch computes in half precision.
+        device: ``cpu``; ``cuda`` (engines onnx and torch) or ``tensorrt`` (onnx) for a GPU, whose number may
+            follow as in ``cuda:1``. On ``cuda`` torch computes in half precision.
 
     Raises:
         UserError: unknown model, engine, device or size; an engine that is not installed, or that cannot run this

@@ -16,7 +16,7 @@ def search_milliseconds(engine: Engine, searches: int = 12) -> float:
     Only the engine is timed: a whole update also crops the frame and decodes the score map.
 
     Args:
-        engine: the loaded model; a device's copies to and from the card are part of the time.
+        engine: the loaded model; copies to and from a GPU are part of the time.
         searches: how many are timed.
     """
     rng = np.random.default_rng(0)

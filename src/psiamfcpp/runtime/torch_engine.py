@@ -1,4 +1,4 @@
-"""The torch engine: runs a checkpoint as it is, in float32 on the processor and in half precision on a card."""
+"""The torch engine: runs a checkpoint as it is, in float32 on the processor and in half precision on a GPU."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class TorchEngine:
         model: name or path of a checkpoint, or a network in evaluation mode.
         threads: threads of the whole process on the processor; by default one for each usable core.
         search_size: side of the search crop in pixels; by default the model's own.
-        device: the processor, or a card on CUDA.
+        device: the processor, or a GPU on CUDA.
 
     Raises:
         UserError: no such checkpoint, or torch cannot compute on the device.
@@ -80,7 +80,7 @@ class TorchEngine:
         return self._moved(torch.from_numpy(crop).permute(2, 0, 1)[None])
 
     def _moved(self, images: Tensor) -> Tensor:
-        # Bytes are copied to the card and become floats there: a quarter of the copy.
+        # Bytes are copied to the GPU and become floats there: a quarter of the copy.
         return images.to(self._place).float()
 
 
@@ -88,7 +88,7 @@ def torch_device(device: Device) -> torch.device:
     """Return torch's own description of a device.
 
     Raises:
-        UserError: torch was built without CUDA, finds no card, or not the one with this number.
+        UserError: torch was built without CUDA, finds no GPU, or not the one with this number.
     """
     if device.kind == "cpu":
         return torch.device("cpu")
@@ -98,17 +98,17 @@ def torch_device(device: Device) -> torch.device:
                 f"device {device}: the installed torch {torch.__version__} is built without CUDA: "
                 "pip uninstall -y torch, then install a CUDA build (https://pytorch.org/get-started/locally)"
             )
-        raise UserError(f"device {device}: torch finds no card: check the driver with nvidia-smi")
+        raise UserError(f"device {device}: torch finds no GPU: check the driver with nvidia-smi")
     count = torch.cuda.device_count()
     if device.index >= count:
-        raise UserError(f"device {device}: torch finds {count} cards, numbered from 0")
+        raise UserError(f"device {device}: torch finds {count} of them, numbered from 0")
     return torch.device("cuda", device.index)
 
 
 def in_half(network: SiamFCpp) -> SiamFCpp:
     """Return a copy of a network whose convolutions have weights in half precision, for use under autocast.
 
-    BatchNorm is folded into them before, in float32: its variances of maps of grey levels are beyond half precision.
+    BatchNorm is folded into them before, in float32: variances of maps of grey levels exceed half precision's range.
     """
     found = copy.deepcopy(network)
     for module in found.modules():
