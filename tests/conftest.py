@@ -170,7 +170,9 @@ def blob_engine(monkeypatch: pytest.MonkeyPatch) -> BlobEngine:
     """Every tracker that is built in this test runs on this engine."""
     engine = BlobEngine()
 
-    def open_engine(model: str, name: str | None, threads: int | None, search_size: int | None) -> BlobEngine:
+    def open_engine(
+        model: str, name: str | None, threads: int | None, search_size: int | None, device: str
+    ) -> BlobEngine:
         if search_size is not None:
             engine.spec = dataclasses.replace(engine.spec, search_size=search_size)
         return engine

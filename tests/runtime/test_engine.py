@@ -17,7 +17,8 @@ from psiamfcpp import Tracker, UserError, zoo
 from psiamfcpp.demo.clip import render
 from psiamfcpp.geometry import Image
 from psiamfcpp.models import load
-from psiamfcpp.runtime import ENGINES, open_engine
+from psiamfcpp.runtime import ENGINES, Engine, open_engine
+from psiamfcpp.spec import ModelSpec
 
 
 @pytest.fixture(autouse=True)
@@ -90,8 +91,24 @@ def test_many_crops_are_each_searched_with_their_own_kernels(engine: str, runnab
 
 
 def test_without_a_name_graphs_run_in_onnxruntime_and_checkpoints_in_torch(tiny_model: Path, tiny_graphs: Path) -> None:
-    assert type(open_engine(str(tiny_graphs), threads=1)).__name__ == "OnnxEngine"
-    assert type(open_engine(str(tiny_model), threads=1)).__name__ == "TorchEngine"
+    assert open_engine(str(tiny_graphs), threads=1).name == "onnx"
+    assert open_engine(str(tiny_model), threads=1).name == "torch"
+
+
+def test_an_engine_says_what_it_is(engine: str, runnable: str) -> None:
+    opened = open_engine(runnable, engine, 1)
+    assert isinstance(opened, Engine)
+    assert (opened.name, opened.device, opened.precision) == (engine, "cpu", "fp32")
+
+
+MEMBERS = {"name": "mine", "device": "cpu", "precision": "fp32", "spec": ModelSpec()}
+MEMBERS |= dict.fromkeys(("template", "search", "search_many"), lambda self, crop, kernels=None: None)
+
+
+@pytest.mark.parametrize("lacking", [None, *MEMBERS])
+def test_any_object_with_the_members_is_an_engine(lacking: str | None) -> None:
+    own = type("Own", (), {name: value for name, value in MEMBERS.items() if name != lacking})()
+    assert isinstance(own, Engine) is (lacking is None)
 
 
 def test_kernels_outlive_the_buffer_of_their_crop(engine: str, runnable: str) -> None:
@@ -134,11 +151,6 @@ def test_what_cannot_be_opened_says_why(tiny_model: Path, options: dict[str, obj
 def test_a_checkpoint_is_to_be_exported_first(tiny_model: Path, engine: str) -> None:
     with pytest.raises(UserError, match=rf"the {engine} engine runs graphs, .*`psiamfcpp export .*tiny.safetensors"):
         open_engine(str(tiny_model), engine)
-
-
-def test_torch_does_not_run_graphs(tiny_graphs: Path) -> None:
-    with pytest.raises(UserError, match="the torch engine runs checkpoints"):
-        open_engine(str(tiny_graphs), "torch")
 
 
 @pytest.fixture(params=["onnx", "openvino"])
@@ -207,6 +219,13 @@ def test_an_unknown_model_names_the_nearest(tmp_path: Path, monkeypatch: pytest.
     monkeypatch.setattr(zoo, "_FOLDER", tmp_path)
     with pytest.raises(UserError, match=r"model 'siamfcpp-alexnt' .* did you mean 'siamfcpp-alexnet'"):
         open_engine("siamfcpp-alexnt")
+
+
+def test_without_onnxruntime_the_install_line_is_given(tiny_graphs: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delitem(sys.modules, "psiamfcpp.runtime.onnx_engine", raising=False)
+    monkeypatch.setitem(sys.modules, "onnxruntime", None)
+    with pytest.raises(UserError, match=r"the onnx engine needs onnxruntime: pip install 'onnxruntime'"):
+        open_engine(str(tiny_graphs))
 
 
 def test_without_torch_the_install_line_is_given(tiny_model: Path, monkeypatch: pytest.MonkeyPatch) -> None:

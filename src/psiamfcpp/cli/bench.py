@@ -15,8 +15,9 @@ from psiamfcpp.errors import UserError
 from psiamfcpp.evaluation import speed
 from psiamfcpp.geometry import Box, Image
 from psiamfcpp.images import read_image
-from psiamfcpp.runtime import ENGINES, usable_cores
+from psiamfcpp.runtime import ENGINES, runs, usable_cores
 from psiamfcpp.runtime.graph_file import precision
+from psiamfcpp.runtime.opening import forms
 from psiamfcpp.trackers import TrackerOptions, choose
 from psiamfcpp.trackers.siamfcpp import Tracker
 from psiamfcpp.zoo import graph_folder, graph_names, names
@@ -84,10 +85,9 @@ def _ours(models: tuple[str, ...], engines: tuple[str, ...], threads: int) -> li
         wanted = [BASELINE, *(pair for pair in wanted if pair != BASELINE)]
     found, refusals = [], []
     for model, engine in wanted:
-        graphs = graph_folder(model)
-        has_checkpoint = model in names() or graphs is None
-        if not (has_checkpoint if engine == "torch" else graphs is not None):
+        if not runs(engine, model):
             continue
+        graphs = graph_folder(model)
         kind = "fp32" if engine == "torch" or graphs is None else precision(graphs)
         try:
             ours = Tracker(model, options=TrackerOptions(engine, threads=threads, plain=True))
@@ -100,7 +100,7 @@ def _ours(models: tuple[str, ...], engines: tuple[str, ...], threads: int) -> li
     for refusal in sorted(set(refusals)):
         notes.print(f"left out: {refusal}")
     if not found:
-        raise UserError("no model and engine go together: graphs run on onnx and openvino, checkpoints on torch")
+        raise UserError(f"no model and engine go together: {forms()}")
     return found
 
 

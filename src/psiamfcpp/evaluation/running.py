@@ -9,7 +9,6 @@ from __future__ import annotations
 import contextlib
 import json
 import os
-import platform
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -26,6 +25,7 @@ from psiamfcpp.errors import UserError
 from psiamfcpp.evaluation.ope import first_label, one_pass
 from psiamfcpp.evaluation.results import Files, read_times
 from psiamfcpp.files import write_whole
+from psiamfcpp.machine import processor_name
 from psiamfcpp.trackers import Tracker, TrackerChoice
 
 RUN_FILE = "run.json"
@@ -254,7 +254,7 @@ def _conditions(choice: TrackerChoice, jobs: int, earlier: dict[str, Any] | None
     """Under what conditions the times were measured, those of an earlier run included."""
     # how many threads a foreign class uses, nobody here knows
     threads = None if choice.kind not in ("model", "opencv", "dcf") else choice.options.threads
-    processor = _processor()
+    processor = processor_name()
     if earlier is None:
         return {"threads": threads, "jobs": jobs, "processor": processor}
     return {
@@ -263,12 +263,3 @@ def _conditions(choice: TrackerChoice, jobs: int, earlier: dict[str, Any] | None
         "jobs": max(jobs, earlier["jobs"]),
         "processor": " and ".join(dict.fromkeys([earlier["processor"], processor])),
     }
-
-
-def _processor() -> str:
-    """Name of the processor, as far as the system tells."""
-    with contextlib.suppress(OSError):
-        for line in Path("/proc/cpuinfo").read_text().splitlines():
-            if line.startswith("model name"):
-                return line.partition(":")[2].strip()
-    return platform.processor() or platform.machine()

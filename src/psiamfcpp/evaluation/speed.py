@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import os
-import platform
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
 
 from psiamfcpp.geometry import Box, FloatArray, Image
+from psiamfcpp.machine import cpu_flags, processor_name
 from psiamfcpp.trackers.contract import Tracker
 from psiamfcpp.trackers.siamfcpp import Tracker as OurTracker
 
@@ -144,16 +143,9 @@ def run(bench: Bench, frames: list[Image], box: Box, rounds: int, advance: Calla
 
 def machine() -> dict[str, Any]:
     """The processor: its name, how many cores this process may use, and what it can do with many numbers at once."""
-    name, flags = platform.processor() or platform.machine(), set[str]()
-    if Path("/proc/cpuinfo").exists():
-        for line in Path("/proc/cpuinfo").read_text().splitlines():
-            key, _, value = line.partition(":")
-            if key.strip() == "model name":
-                name = value.strip()
-            elif key.strip() in ("flags", "Features"):
-                flags |= set(value.split())
+    flags = cpu_flags()
     load = os.getloadavg()[0] if hasattr(os, "getloadavg") else None
-    return {"cpu": name, "flags": [flag for flag in _FLAGS if flag in flags], "load": load}
+    return {"cpu": processor_name(), "flags": [flag for flag in _FLAGS if flag in flags], "load": load}
 
 
 def _fixed_work() -> float:

@@ -1,5 +1,7 @@
 """Engines that run a model, all behind the same calls."""
 
-from psiamfcpp.runtime.engine import ENGINES, Engine, open_engine, usable_cores
+from psiamfcpp.machine import usable_cores
+from psiamfcpp.runtime.engine import Engine
+from psiamfcpp.runtime.opening import ENGINES, open_engine, runs
 
-__all__ = ["ENGINES", "Engine", "open_engine", "usable_cores"]
+__all__ = ["ENGINES", "Engine", "open_engine", "runs", "usable_cores"]

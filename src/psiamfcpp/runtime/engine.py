@@ -1,89 +1,87 @@
-"""The calls behind which every engine runs a model: numpy in, numpy out."""
+"""The contract behind which every engine runs a model: numpy arrays in, numpy arrays out."""
 
 from __future__ import annotations
 
-import os
-from typing import Any, Protocol
+import dataclasses
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
-from psiamfcpp.errors import UserError
 from psiamfcpp.geometry import Image
 from psiamfcpp.spec import ModelSpec
-from psiamfcpp.zoo import DEFAULT_MODEL, graph_folder, names, weights_path
 
 Float32Array = NDArray[np.float32]
 Images = NDArray[np.uint8]
 
-ENGINES = ("onnx", "openvino", "torch")
 
-
+@runtime_checkable
 class Engine(Protocol):
-    """A loaded model."""
+    """A loaded model, ready to run.
 
-    spec: ModelSpec
-    """its description; ``spec.search_size`` is the size that `search` takes"""
+    Any object with these members is an engine; it need not inherit from this class. Crops are uint8, BGR, without any
+    normalisation. A caller may reuse the buffer of a crop as soon as a call returns, and may keep every array that
+    was returned: an engine neither keeps the one nor overwrites the other.
+    """
+
+    @property
+    def name(self) -> str:
+        """Short name, as tables show it: ``onnx``, ``openvino``, ``torch``, or one of your own."""
+        ...
+
+    @property
+    def device(self) -> str:
+        """Where it computes: ``cpu``, ``cuda:0``, ``tensorrt:0``, ..."""
+        ...
+
+    @property
+    def precision(self) -> str:
+        """Number format of the weights in `search`, as loaded: ``fp32``, ``fp16`` or ``int8``."""
+        ...
+
+    @property
+    def spec(self) -> ModelSpec:
+        """The model's description; ``spec.search_size`` is the side in pixels of the crops that `search` takes."""
+        ...
 
     def template(self, crop: Image) -> Any:
-        """Correlation kernels of a template crop ``(127, 127, 3)``, uint8, BGR; only this engine can read them."""
+        """Return the correlation kernels of a template crop ``(127, 127, 3)``.
+
+        They may be of any type: nobody but this engine reads them.
+        """
         ...
 
     def search(self, crop: Image, kernels: Any) -> tuple[Float32Array, Float32Array]:
-        """Scores ``(N, N)`` and boxes ``(N, N, 4)``, x0, y0, x1, y1 in the crop, of a crop ``(S, S, 3)`` uint8 BGR."""
+        """Return scores and boxes of a search crop.
+
+        Args:
+            crop: ``(S, S, 3)``, where S is ``spec.search_size``.
+            kernels: what `template` returned.
+
+        Returns:
+            Scores ``(N, N)``, 0 to 1, and boxes ``(N, N, 4)`` as x0, y0, x1, y1 in pixels of the crop. N is
+            ``score_size(S)`` of `psiamfcpp.spec`, and row by row the cells lie 8 pixels apart.
+        """
         ...
 
     def search_many(self, crops: Images, kernels: list[Any]) -> tuple[Float32Array, Float32Array]:
-        """Scores ``(B, N, N)`` and boxes ``(B, N, N, 4)`` of crops ``(B, S, S, 3)``, each with kernels of its own."""
+        """Return scores ``(B, N, N)`` and boxes ``(B, N, N, 4)`` of crops ``(B, S, S, 3)``, each with its own kernels.
+
+        The results are those of `search` on each crop by itself.
+        """
         ...
 
 
-def usable_cores() -> int:
-    """Cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
-def open_engine(
-    model: str = DEFAULT_MODEL,
-    engine: str | None = None,
-    threads: int | None = None,
-    search_size: int | None = None,
-) -> Engine:
-    """Load a model into an engine and warm it up.
-
-    Args:
-        model: name of a shipped model, a checkpoint, or a folder that `psiamfcpp export` wrote.
-        engine: one of `ENGINES`; by default onnx for exported graphs and torch for a checkpoint.
-        threads: threads that the engine may use; by default as many as there are cores.
-        search_size: side of the search crop in pixels; by default the model's own.
+def resized(spec: ModelSpec, search_size: int | None) -> ModelSpec:
+    """Return the description with another search size in pixels; None leaves it as it is.
 
     Raises:
-        UserError: unknown model, engine or size, an engine that is not installed, or one that cannot run this model.
+        UserError: the size does not fit the network.
     """
-    if engine not in (None, *ENGINES):
-        raise UserError(f"unknown engine {engine!r}: known are {', '.join(ENGINES)}")
-    if threads is not None and threads < 1:
-        raise UserError(f"threads is {threads}: it must be at least 1")
-    graphs = graph_folder(model)
-    if engine == "torch" or (engine is None and graphs is None):
-        if graphs is not None and model not in names():
-            raise UserError(f"the torch engine runs checkpoints, and {model} holds graphs: choose another engine")
-        weights_path(model)
-        try:
-            from psiamfcpp.runtime.torch_engine import TorchEngine
-        except ModuleNotFoundError as error:
-            raise UserError(f"the torch engine needs {error.name}: pip install 'psiamfcpp[train]'") from None
-        return TorchEngine(model, threads, search_size)
-    if graphs is None:
-        weights_path(model)
-        mend = f"`psiamfcpp export {model} -o DIR`, then use DIR as the model"
-        raise UserError(f"the {engine} engine runs graphs, and this is a checkpoint: {mend}")
-    if engine == "openvino":
-        try:
-            from psiamfcpp.runtime.openvino_engine import OpenVinoEngine
-        except ModuleNotFoundError as error:
-            raise UserError(f"the openvino engine needs {error.name}: pip install 'psiamfcpp[openvino]'") from None
-        return OpenVinoEngine(graphs, threads, search_size)
-    from psiamfcpp.runtime.onnx_engine import OnnxEngine
+    return spec if search_size is None else dataclasses.replace(spec, search_size=search_size)
 
-    return OnnxEngine(graphs, threads, search_size)
+
+def warm_up(engine: Engine) -> None:
+    """Run an engine once, so that the first frame takes no longer than later ones."""
+    z, x = (np.zeros((side, side, 3), np.uint8) for side in (engine.spec.template_size, engine.spec.search_size))
+    engine.search(x, engine.template(z))

@@ -13,22 +13,34 @@ GRAPHS = ("template", "search")
 
 
 def graph_files(folder: Path, suffixes: tuple[str, ...]) -> tuple[Path, Path]:
-    """The files of both graphs, in the first of the formats that the folder has.
+    """Return the files of the template and the search graph, in the first of the formats that the folder has.
 
     Raises:
         UserError: the folder lacks a graph in every one of them.
     """
+    found = find_graphs(folder, suffixes)
+    if found is None:
+        expected = " or ".join(f"template{suffix} and search{suffix}" for suffix in suffixes)
+        raise UserError(f"{folder} does not hold {expected}: write them with `psiamfcpp export MODEL -o DIR`")
+    return found
+
+
+def find_graphs(folder: Path, suffixes: tuple[str, ...]) -> tuple[Path, Path] | None:
+    """Return what `graph_files` returns, and None where that raises."""
     for suffix in suffixes:
         template, search = (folder / f"{graph}{suffix}" for graph in GRAPHS)
         if template.is_file() and search.is_file():
             return template, search
-    expected = " or ".join(f"template{suffix} and search{suffix}" for suffix in suffixes)
-    raise UserError(f"{folder} does not hold {expected}: write them with `psiamfcpp export MODEL -o DIR`")
+    return None
 
 
 def precision(folder: Path) -> str:
-    """Whether the search graph in a folder computes in ``fp32`` or ``int8``."""
-    _, search = graph_files(folder, (".onnx", ".xml"))
+    """Return whether the search graph in a folder computes in ``fp32`` or ``int8``."""
+    return graph_precision(graph_files(folder, (".onnx", ".xml"))[1])
+
+
+def graph_precision(search: Path) -> str:
+    """Return whether a search graph computes in ``fp32`` or ``int8``."""
     # ONNX and OpenVINO name their operators as plain text.
     data = search.read_bytes()
     return "int8" if b"QuantizeLinear" in data or b"FakeQuantize" in data else "fp32"
@@ -61,6 +73,6 @@ def same_model(template: Path, template_spec: ModelSpec, search: Path, search_sp
 
 
 def damaged(path: Path, error: Exception) -> UserError:
-    """What to say of a file that the runtime cannot load."""
+    """Return what to say of a file that the runtime cannot load."""
     reason = (str(error).strip() or type(error).__name__).splitlines()[0][:200]
     return UserError(f"graph {path} cannot be loaded ({reason}): the file is damaged, export the model again")

@@ -2,70 +2,62 @@
 
 from __future__ import annotations
 
-import dataclasses
-from functools import partial
+import contextlib
+import functools
+import io
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
+from typing import Any
 
-import numpy as np
 import onnxruntime
 
+from psiamfcpp.errors import UserError
 from psiamfcpp.geometry import Image
-from psiamfcpp.runtime.engine import Float32Array, Images, usable_cores
-from psiamfcpp.runtime.graph_file import damaged, graph_files, read_spec, same_model
-from psiamfcpp.runtime.lanes import Lanes, Search
+from psiamfcpp.machine import usable_cores
+from psiamfcpp.runtime.device import CPU, Device, DeviceKind
+from psiamfcpp.runtime.engine import Float32Array
+from psiamfcpp.runtime.graph_engine import GraphEngine, Kernels, Template
+from psiamfcpp.runtime.graph_file import damaged, read_spec
+from psiamfcpp.runtime.lanes import Search
+from psiamfcpp.spec import ModelSpec
 
-Kernels = tuple[Float32Array, Float32Array]
+# Two wheels hold the same package onnxruntime: the one that was installed last overwrote the other's files, and
+# removing either takes files from both. So both must go before one is installed.
+_WHEELS = ("onnxruntime", "onnxruntime-gpu")
+# What a provider leaves to others is computed by the next in the list.
+_PROVIDERS: dict[DeviceKind, tuple[str, ...]] = {
+    "cpu": ("CPUExecutionProvider",),
+    "cuda": ("CUDAExecutionProvider", "CPUExecutionProvider"),
+    "tensorrt": ("TensorrtExecutionProvider", "CUDAExecutionProvider", "CPUExecutionProvider"),
+}
 
 
-class OnnxEngine:
+class OnnxEngine(GraphEngine):
     """See `psiamfcpp.runtime.engine.Engine`."""
 
-    def __init__(self, folder: Path, threads: int | None = None, search_size: int | None = None):
-        template, search = graph_files(folder, (".onnx",))
-        self._template = _open(template, threads)
-        described = read_spec(self._template.get_modelmeta().custom_metadata_map, template)
-        size = described.search_size if search_size is None else search_size
-        self.spec = dataclasses.replace(described, search_size=size)
-        self._search = _open(search, threads, size)
-        same_model(template, described, search, read_spec(self._search.get_modelmeta().custom_metadata_map, search))
+    name = "onnx"
 
-        def open_lanes(count: int) -> list[Search]:
-            # a session may run in many threads at once
-            return [partial(_search, _open(search, total // count, size))] * count
+    def _open_template(self, path: Path, threads: int, device: Device) -> tuple[Template, ModelSpec]:
+        session = _open(path, threads, None, device)
+        return functools.partial(_template, session), _spec(session, path)
 
-        total = threads or usable_cores()
-        self._lanes = Lanes(total, self.search, open_lanes)
-        self._warm_up()
-
-    def template(self, crop: Image) -> Kernels:
-        """Correlation kernels of a template crop ``(127, 127, 3)``, uint8, BGR."""
-        cls, reg = self._template.run(("cls_kernel", "reg_kernel"), {"crop": crop[None]})
-        return cls, reg
-
-    def search(self, crop: Image, kernels: Kernels) -> tuple[Float32Array, Float32Array]:
-        """Scores ``(N, N)`` and boxes ``(N, N, 4)`` of a search crop ``(S, S, 3)``, uint8, BGR."""
-        return _search(self._search, crop, kernels)
-
-    def search_many(self, crops: Images, kernels: list[Kernels]) -> tuple[Float32Array, Float32Array]:
-        """Scores ``(B, N, N)`` and boxes ``(B, N, N, 4)`` of crops ``(B, S, S, 3)``, uint8, BGR."""
-        return self._lanes.search_many(crops, kernels)
-
-    def _warm_up(self) -> None:
-        """Run once, so that the first frame costs no more than later ones."""
-        z, x = (np.zeros((s, s, 3), np.uint8) for s in (self.spec.template_size, self.spec.search_size))
-        self.search(x, self.template(z))
-
-
-def _search(session: onnxruntime.InferenceSession, crop: Image, kernels: Kernels) -> tuple[Float32Array, Float32Array]:
-    feed = {"crop": crop[None], "cls_kernel": kernels[0], "reg_kernel": kernels[1]}
-    scores, boxes = session.run(("scores", "boxes"), feed)
-    return scores[0], boxes[0]
+    def _open_search(
+        self, path: Path, search_size: int, threads: int, lanes: int, device: Device
+    ) -> tuple[list[Search], ModelSpec]:
+        # a session may run in many threads at once
+        session = _open(path, threads, search_size, device)
+        return [functools.partial(_search, session)] * lanes, _spec(session, path)
 
 
 def open_session(
-    graph: str | bytes, threads: int | None, search_size: int | None = None
+    graph: str | bytes, threads: int | None, search_size: int | None = None, device: Device = CPU
 ) -> onnxruntime.InferenceSession:
-    """A session on a graph file or its bytes, made for search crops of that size."""
+    """Return a session on a graph file or its bytes, made for search crops of that size in pixels.
+
+    Raises:
+        UserError: the installed onnxruntime cannot compute on the device.
+    """
+    providers = _providers(device)
     options = onnxruntime.SessionOptions()
     options.log_severity_level = 3
     # By itself onnxruntime counts the machine's cores, not those that this process may use, and its threads would
@@ -78,11 +70,91 @@ def open_session(
     if search_size is not None:
         # With its size known at load, onnxruntime lays out memory and folds the grid of cells once.
         options.add_free_dimension_override_by_name("size", search_size)
-    return onnxruntime.InferenceSession(graph, options, providers=["CPUExecutionProvider"])
+    # With its fallback, onnxruntime prints a failure of the GPU and computes on the processor instead.
+    session = onnxruntime.InferenceSession(graph, options, providers=providers, enable_fallback=0)
+    if _PROVIDERS[device.kind][0] not in session.get_providers():
+        # A provider whose libraries are missing is left out without an error.
+        raise _cannot(f"start {_PROVIDERS[device.kind][0]}", device, _preloaded())
+    return session
 
 
-def _open(path: Path, threads: int | None, search_size: int | None = None) -> onnxruntime.InferenceSession:
+def _providers(device: Device) -> list[Any]:
+    """Return the providers of a device, with their options.
+
+    Raises:
+        UserError: the installed onnxruntime is damaged, or lacks the device's provider.
+    """
+    wanted = _PROVIDERS[device.kind]
+    install = "onnxruntime" if device.kind == "cpu" else "'onnxruntime-gpu[cuda,cudnn]'"
+    fix = f"pip uninstall -y {' '.join(_WHEELS)} && pip install {install}"
+    if not hasattr(onnxruntime, "InferenceSession"):
+        raise UserError(f"the installed onnxruntime is incomplete, as after one of two wheels was removed: {fix}")
+    if device.kind == "cpu":
+        return list(wanted)
+    if wanted[0] not in onnxruntime.get_available_providers():
+        if all(map(_installed, _WHEELS)):
+            raise UserError(f"{' and '.join(_WHEELS)} are both installed and overwrite each other: {fix}")
+        raise UserError(f"device {device}: the installed onnxruntime has no {wanted[0]}: {fix}")
+    _preloaded()
+    options = {
+        "TensorrtExecutionProvider": {"device_id": device.index},
+        # By default float convolutions are computed with 10 bits of mantissa (TF32), which is not fp32.
+        "CUDAExecutionProvider": {"device_id": device.index, "use_tf32": 0},
+        "CPUExecutionProvider": {},
+    }
+    return [(name, options[name]) for name in wanted]
+
+
+@functools.cache
+def _preloaded() -> str:
+    """Load CUDA and cuDNN from wheels of their own, where the system's loader does not look; return complaints."""
+    if not hasattr(onnxruntime, "preload_dlls"):
+        return ""
+    # It prints what it does not find.
+    with contextlib.redirect_stdout(io.StringIO()) as printed:
+        onnxruntime.preload_dlls()
+    return printed.getvalue()
+
+
+def _cannot(do: str, device: Device, complaint: str) -> UserError:
+    # The cause stands at the end of a line that begins with places in the source.
+    cause = f" ({lines[0][-200:].strip()})" if (lines := complaint.strip().splitlines()) else ""
+    own = " and TensorRT, which has an installer of its own" if device.kind == "tensorrt" else ""
+    return UserError(
+        f"onnxruntime cannot {do} on {device}{cause}: it needs a GPU, its driver, CUDA and cuDNN of the versions that "
+        f"pip install 'onnxruntime-gpu[cuda,cudnn]=={onnxruntime.__version__}' brings{own}"
+    )
+
+
+def _installed(wheel: str) -> bool:
     try:
-        return open_session(str(path), threads, search_size)
+        version(wheel)
+    except PackageNotFoundError:
+        return False
+    return True
+
+
+def _open(path: Path, threads: int, search_size: int | None, device: Device) -> onnxruntime.InferenceSession:
+    try:
+        return open_session(str(path), threads, search_size, device)
+    except UserError:
+        raise
     except Exception as error:  # onnxruntime's errors have no common base of their own
+        if device.kind != "cpu":
+            raise _cannot(f"load {path}", device, str(error) or type(error).__name__) from None
         raise damaged(path, error) from None
+
+
+def _spec(session: onnxruntime.InferenceSession, path: Path) -> ModelSpec:
+    return read_spec(session.get_modelmeta().custom_metadata_map, path)
+
+
+def _template(session: onnxruntime.InferenceSession, crop: Image) -> Kernels:
+    cls, reg = session.run(("cls_kernel", "reg_kernel"), {"crop": crop[None]})
+    return cls, reg
+
+
+def _search(session: onnxruntime.InferenceSession, crop: Image, kernels: Kernels) -> tuple[Float32Array, Float32Array]:
+    feed = {"crop": crop[None], "cls_kernel": kernels[0], "reg_kernel": kernels[1]}
+    scores, boxes = session.run(("scores", "boxes"), feed)
+    return scores[0], boxes[0]

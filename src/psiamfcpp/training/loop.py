@@ -22,6 +22,7 @@ from torch import Tensor, nn
 from psiamfcpp.datasets import Sequence
 from psiamfcpp.errors import UserError
 from psiamfcpp.files import write_whole, writing
+from psiamfcpp.machine import has_bf16
 from psiamfcpp.models.checkpoint import save
 from psiamfcpp.models.network import SiamFCpp
 from psiamfcpp.training.batches import Batch, numbered_batches
@@ -168,8 +169,7 @@ def bf16_pays(device: torch.device) -> bool:
     """Whether bfloat16 is computed in hardware there; emulated, it is slower than float32."""
     if device.type == "cuda":
         return torch.cuda.is_bf16_supported()
-    flags = Path("/proc/cpuinfo")
-    return flags.exists() and "avx512_bf16" in flags.read_text()
+    return has_bf16()
 
 
 def _keep_freed_memory() -> None:

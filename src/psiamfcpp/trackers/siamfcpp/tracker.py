@@ -47,7 +47,7 @@ class Tracker:
         self._own_engine = engine is not None and not isinstance(engine, str)
         if engine is None or isinstance(engine, str):
             self.options = o = dataclasses.replace(options, engine=engine or options.engine, **changes)
-            self.engine: Engine = open_engine(model, o.engine, o.threads, o.search_size)
+            self.engine: Engine = open_engine(model, o.engine, o.threads, o.search_size, o.device)
             self.name = Path(model).stem if Path(model).is_file() else Path(model).name
         else:
             self.options = dataclasses.replace(options, **changes)
