@@ -69,7 +69,7 @@ def test_an_engine_is_the_network(
 
 def test_all_engines_follow_a_clip_alike(engine: str, runnable: str, tiny_model: Path) -> None:
     def boxes(model: str, name: str) -> np.ndarray:
-        tracker = Tracker(model, name, 1, plain=True)
+        tracker = Tracker(model, name, threads=1, plain=True)
         shots = list(render(3, 20, (320, 192)))
         tracker.init(shots[0].image, shots[0].box)
         return np.array([tracker.update(shot.image).box for shot in shots[1:]])

@@ -38,6 +38,7 @@ class TargetPool:
         self,
         tracker: str = DEFAULT_MODEL,
         engine: Any = None,
+        *,
         options: TrackerOptions = TrackerOptions(),  # noqa: B008 - frozen
         **changes: Any,
     ):
@@ -158,7 +159,7 @@ class _OneEach:
 
 def _group(tracker: str, engine: Any, options: TrackerOptions, changes: dict[str, Any]) -> _OneEngine | _OneEach:
     if engine is not None and not isinstance(engine, str):
-        return _OneEngine(Tracker(tracker, engine, options, **changes))
+        return _OneEngine(Tracker(tracker, engine, options=options, **changes))
     choice = choose(tracker, dataclasses.replace(options, engine=engine or options.engine, **changes))
     opened = choice.open()
     return _OneEngine(opened) if isinstance(opened, Tracker) else _OneEach(choice, opened)

@@ -41,6 +41,7 @@ class Tracker:
         self,
         model: str = DEFAULT_MODEL,
         engine: str | Engine | None = None,
+        *,
         options: TrackerOptions = _DEFAULT,
         **changes: Any,
     ):
