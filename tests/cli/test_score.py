@@ -43,7 +43,7 @@ def test_score_prints_one_json_object(run: Run, command: list[str | Path]) -> No
     rows = {(row["tracker"], row["convention"]): row for row in data["results"]}
     assert rows.keys() == {(t, c) for t in ("far", "near") for c in ("otb", "got10k")}
     for row in rows.values():
-        others = {"invalid_rows", "missing_sequences", "sequences", "fps"}
+        others = {"invalid_rows", "missing_sequences", "sequences", "fps", "fps_mean"}
         assert row.keys() == {"tracker", "dataset", "convention", *FIGURES, *others}
         assert (row["dataset"], row["fps"], list(row["sequences"])) == ("dtb70", None, ["car1", "car2"])
         for figure in FIGURES:

@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-import contextlib
-import tempfile
 from pathlib import Path
 from typing import Any
 
 from psiamfcpp import datasets
-from psiamfcpp.cli.output import notes, print_json, progress
-from psiamfcpp.cli.score import BOTH, print_head, print_tables, score_rows
-from psiamfcpp.errors import UserError
-from psiamfcpp.evaluation.results import Files, read_speed
-from psiamfcpp.evaluation.running import CONDITIONS, read_run, result_files, run
-from psiamfcpp.trackers import TrackerOptions, choose
+from psiamfcpp.cli.output import notes, progress
+from psiamfcpp.cli.score import print_measured
+from psiamfcpp.evaluation.measured import CONVENTIONS
+from psiamfcpp.recipes.evaluate import evaluate as run_benchmark
+from psiamfcpp.trackers import TrackerOptions
 from psiamfcpp.zoo import DEFAULT_MODEL
 
 
@@ -42,51 +39,21 @@ def evaluate(
         options: how our models run.
         json: print one JSON object.
     """
-    if jobs < 1:
-        raise UserError(f"--jobs is {jobs}: it must be at least 1")
-    if not tracker:
-        raise UserError("--tracker names none: give a model, or another as opencv:mil")
-    choices = [choose(entry, options) for entry in tracker]
-    sequences = datasets.BENCHMARKS[dataset].read(root.resolve())
-    with contextlib.ExitStack() as stack:
-        place = results or Path(stack.enter_context(tempfile.TemporaryDirectory()))
-        with progress() as bar:
-            task = bar.add_task("sequences", total=len(choices) * len(sequences))
-            problems = run(
-                choices, dataset, root, sequences, place, jobs, cluster, lambda count: bar.advance(task, count)
-            )
-        _report(problems, allow_missing, results)
-        labels = {sequence.name: sequence.boxes for sequence in sequences}
-        folders = {choice.name: place / dataset / choice.name for choice in choices}
-        files = {name: result_files(folder, sequences) for name, folder in folders.items()}
-        rows = score_rows(dataset, labels, files, BOTH, allow_missing)
-        speeds = {name: _speed(folder, files[name]) for name, folder in folders.items()}
-    rows = [{**row, **speeds[row["tracker"]]} for row in rows]
+    with progress() as bar:
+        task = bar.add_task("sequences")
+
+        def advance(done: int, total: int) -> None:
+            bar.update(task, total=total, advance=done)
+
+        measured = run_benchmark(
+            root, dataset, tracker, results, jobs, cluster, allow_missing, options, notes.print, advance
+        )
+    print_measured(dataset, measured, CONVENTIONS, False, json)
     if json:
-        print_json({"results": rows})
         return
-    print_head(dataset, labels)
-    print_tables(rows, per_sequence=len(tracker) == 1)
     print()
-    for name, speed in speeds.items():
-        print(f"{name}: {_describe(speed)}")
-
-
-def _report(problems: list[str], allow_missing: bool, results: Path | None) -> None:
-    """Say what could not be run; without leave for that, as an error."""
-    for problem in problems if allow_missing else problems[1:]:
-        notes.print(problem)
-    if problems and not allow_missing:
-        kept = f"; what could be run is kept in {results}" if results else ""
-        more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
-        raise UserError(f"{problems[0]}{more}{kept}; --allow-missing scores the rest")
-
-
-def _speed(folder: Path, files: Files) -> dict[str, Any]:
-    """Frames a second, and under what conditions they were measured."""
-    speed, facts = read_speed(files), read_run(folder) or {}
-    figures = {"fps": None, "fps_mean": None} if speed is None else {"fps": speed.median, "fps_mean": speed.mean}
-    return {**figures, **{key: facts.get(key) for key in CONDITIONS}}
+    for entry in measured:
+        print(f"{entry.tracker}: {_describe(entry.row('otb'))}")
 
 
 def _describe(speed: dict[str, Any]) -> str:

@@ -10,8 +10,7 @@ import tyro
 from psiamfcpp.cli.output import notes
 from psiamfcpp.datasets import BenchmarkName
 from psiamfcpp.errors import UserError
-from psiamfcpp.report.compare import collect
-from psiamfcpp.report.writing import write_report
+from psiamfcpp.recipes.report import report as make_report
 
 
 def report(
@@ -30,17 +29,9 @@ def report(
         annotations: labels of each of these benchmarks: its folder, or a plain one of SEQUENCE.txt.
         allow_missing: score a tracker on the sequences that it has, and say how many are missing.
     """
-    if not results:
-        raise UserError("no folder of results is named: give those that `evaluate` wrote")
     if len(dataset) != len(annotations):
         raise UserError(f"--dataset names {len(dataset)} benchmarks, but --annotations {len(annotations)} folders")
-    import matplotlib  # noqa: F401 - its absence must be said before the results are read
-
-    comparisons = collect(results, dict(zip(dataset, annotations, strict=True)), allow_missing)
-    for c in comparisons:
-        for entry in c.measured:
-            if entry.missing:
-                count = f"{entry.missing} of {len(c.sequences)}"
-                notes.print(f"{entry.tracker}: {count} sequences of {c.dataset} are missing and do not count")
-    page, *files = write_report(comparisons, output)
+    page, *files = make_report(
+        results, output, dict(zip(dataset, annotations, strict=True)), allow_missing, notes.print
+    )
     print(f"{page} and {len(files)} files beside it")

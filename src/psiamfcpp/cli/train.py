@@ -2,20 +2,15 @@
 
 from __future__ import annotations
 
-import dataclasses
-import os
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import tyro
 
-from psiamfcpp import __version__
 from psiamfcpp.cli.output import notes
 from psiamfcpp.datasets.choice import DataChoice
+from psiamfcpp.recipes.train import train as run_training
 from psiamfcpp.training.options import RunOptions, TrainOptions
-
-if TYPE_CHECKING:
-    from psiamfcpp.models import SiamFCpp
 
 
 def train(
@@ -40,73 +35,21 @@ def train(
         held_out_every: one clip in so many, chosen by name, is kept out of training to validate with; 0 is none.
         note: a line on the data for the model's provenance.
     """
-    import torch
-
-    from psiamfcpp.training.curve import draw_curve
-    from psiamfcpp.training.loop import LOG_FILE
-    from psiamfcpp.training.loop import train as run_training
-
-    chosen = DataChoice(data, held_out_every)
-    training, held_out = chosen.training, chosen.held_out
-    torch.manual_seed(options.seed)
-    model = _start(init, options.seed)
-    model.spec = dataclasses.replace(
-        model.spec,
-        search_size=options.pairs.search_size,
-        provenance=_provenance(model.spec.provenance, init, chosen, options, note),
-    )
-    first = os.environ.get("RANK", "0") == "0"
-    if first:
-        notes.print(f"{len(training)} targets to train on, {len(held_out)} clips held out")
+    steps = options.schedule.steps
     try:
-        for row in run_training(model, training, held_out, output, options, run):
-            notes.print(_line(row, options.schedule.steps))
+        run_training(
+            DataChoice(data, held_out_every),
+            init,
+            output,
+            options,
+            run,
+            note,
+            on_row=lambda row: notes.print(_line(row, steps)),
+            on_start=notes.print,
+        )
     except KeyboardInterrupt:
         notes.print("interrupted; the same command continues from the last saved state")
         raise
-    finally:
-        if first and (output / LOG_FILE).exists():
-            draw_curve(output / LOG_FILE, output / "curve.png")
-
-
-def _start(init: Path, seed: int) -> SiamFCpp:
-    """The network to begin with, from a checkpoint or from ImageNet features."""
-    from psiamfcpp.models import SiamFCpp, load
-    from psiamfcpp.models.alexnet import init_backbone, is_alexnet
-    from psiamfcpp.models.initial import init_neck_and_head
-    from psiamfcpp.zoo import weights_path
-
-    path = weights_path(init)
-    if not is_alexnet(path):
-        return load(path)
-    model = SiamFCpp()
-    init_backbone(model, path, seed)
-    init_neck_and_head(model, seed)
-    return model
-
-
-def _provenance(
-    before: dict[str, Any], init: Path, data: DataChoice, options: TrainOptions, note: str
-) -> dict[str, Any]:
-    """What is known of the model's making: the stages before, and this one."""
-    stage = {
-        "init": init.name,
-        "data": data.named,
-        "options": _described(options),
-        "version": __version__,
-    }
-    if note:
-        stage["note"] = note
-    return {**before, "training": [*before.get("training", []), stage]}
-
-
-def _described(options: TrainOptions) -> dict[str, Any]:
-    """The options; a teacher's file is named without its folder, and not at all where there is none."""
-    described = dataclasses.asdict(options)
-    teacher = described.pop("teacher")
-    if options.teacher.teacher:
-        described["teacher"] = {**teacher, "teacher": Path(options.teacher.teacher).name}
-    return described
 
 
 def _line(row: dict[str, Any], steps: int) -> str:

@@ -4,44 +4,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from psiamfcpp.datasets import BENCHMARKS, Benchmark, Sequence
 from psiamfcpp.datasets.attributes import read_attributes
 from psiamfcpp.errors import UserError
-from psiamfcpp.evaluation.metrics import Convention, Scores, mean_scores
-from psiamfcpp.evaluation.results import Files, Speed, count_missing, find, read_speed, score_results
+from psiamfcpp.evaluation.measured import CONVENTIONS, Measured, measure
+from psiamfcpp.evaluation.metrics import Convention
+from psiamfcpp.evaluation.results import Files, find
 from psiamfcpp.evaluation.running import RUN_FILE, read_run
 from psiamfcpp.report.published import Published, published
 
-CONVENTIONS: tuple[Convention, ...] = ("otb", "got10k")
 PAPER = "Wang et al. 2022"
-
-
-@dataclass(frozen=True)
-class Measured:
-    """A tracker on a benchmark, from its result files."""
-
-    tracker: str
-    mean: dict[Convention, Scores]
-    figures: dict[Convention, dict[str, dict[str, float]]]
-    """by convention and sequence"""
-    missing: int
-    """sequences without a result"""
-    speed: Speed | None
-    run: dict[str, Any] | None
-    """what `psiamfcpp.evaluation.running` noted of the run; None for boxes of other origin"""
-    files: Files
-
-    @property
-    def source(self) -> str:
-        """Where the figures come from."""
-        if self.run is None:
-            return "result files"
-        count = self.run["threads"]
-        threads = f", {count} thread{'s' * (count > 1)}" if count else ""
-        beside = f", {self.run['jobs']} side by side" if self.run["jobs"] > 1 else ""
-        return f"run on {self.run['processor']}{threads}{beside}"
 
 
 @dataclass(frozen=True)
@@ -120,7 +93,10 @@ def collect(results: list[Path], roots: dict[str, Path] | None = None, allow_mis
                 root,
                 list(labels),
                 sum(map(len, labels.values())),
-                [_measure(tracker, files, labels, allow_missing) for tracker, files in trackers.items()],
+                [
+                    measure(tracker, name, files, labels, CONVENTIONS, allow_missing)
+                    for tracker, files in trackers.items()
+                ],
                 [row for row in published() if row.dataset == name],
                 read_attributes(name, root, list(labels)),
             )
@@ -135,21 +111,6 @@ def average(comparisons: list[Comparison], tracker: str, convention: Convention,
     """A tracker's figure, averaged over the benchmarks; None if it lacks one."""
     found = [m.mean[convention].figures[figure] for c in comparisons for m in c.measured if m.tracker == tracker]
     return sum(found) / len(found) if len(found) == len(comparisons) else None
-
-
-def _measure(tracker: str, files: Files, labels: dict[str, Any], allow_missing: bool) -> Measured:
-    missing = count_missing(tracker, files, labels, allow_missing)
-    scores = score_results(labels, files, CONVENTIONS)
-    folder = next(iter(files.values())).parent
-    return Measured(
-        tracker,
-        {kind: mean_scores(by_name.values()) for kind, by_name in scores.items()},
-        {kind: {name: s.figures for name, s in by_name.items()} for kind, by_name in scores.items()},
-        missing,
-        read_speed(files),
-        read_run(folder),
-        files,
-    )
 
 
 def _run_folders(folder: Path) -> list[Path]:

@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
+from psiamfcpp.evaluation.measured import Measured
 from psiamfcpp.evaluation.metrics import OVERLAP_THRESHOLDS, PRECISION_THRESHOLDS, Convention
-from psiamfcpp.report.compare import PAPER, Comparison, Measured, average
+from psiamfcpp.report.compare import PAPER, Comparison, average
 from psiamfcpp.report.published import Published, averaged
 
 if TYPE_CHECKING:

@@ -9,10 +9,11 @@ import numpy as np
 
 from psiamfcpp.datasets import Sequence
 from psiamfcpp.errors import UserError
+from psiamfcpp.evaluation.measured import Measured
 from psiamfcpp.evaluation.results import read_result
 from psiamfcpp.geometry import FloatArray, Image
 from psiamfcpp.images import read_image
-from psiamfcpp.report.compare import Comparison, Measured
+from psiamfcpp.report.compare import Comparison
 from psiamfcpp.video.drawing import Colour, draw_status
 
 _WHITE: Colour = (255, 255, 255)

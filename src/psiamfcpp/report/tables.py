@@ -8,8 +8,9 @@ from typing import Any
 
 import numpy as np
 
+from psiamfcpp.evaluation.measured import CONVENTIONS, Measured
 from psiamfcpp.evaluation.metrics import Convention
-from psiamfcpp.report.compare import CONVENTIONS, PAPER, Comparison, Measured
+from psiamfcpp.report.compare import PAPER, Comparison
 
 FIGURES = ("precision", "normalized_precision", "auc", "success50")
 _LATEX = {
@@ -127,18 +128,9 @@ def latex(comparison: Comparison, convention: Convention) -> str:
 
 
 def _measured_row(comparison: Comparison, entry: Measured, convention: Convention) -> dict[str, Any]:
-    mean = entry.mean[convention]
-    return {
-        **_empty(comparison, entry.tracker, convention),
-        "kind": "measured",
-        "source": entry.source,
-        **mean.figures,
-        "invalid_rows": mean.invalid,
-        "sequences": len(entry.files),
-        "missing_sequences": entry.missing,
-        "fps": entry.speed.median if entry.speed else None,
-        "fps_mean": entry.speed.mean if entry.speed else None,
-    }
+    known, empty = entry.row(convention), _empty(comparison, entry.tracker, convention)
+    shown = {key: known.get(key, value) for key, value in empty.items()}
+    return {**shown, "kind": "measured", "source": entry.source, "sequences": len(entry.files)}
 
 
 def _empty(comparison: Comparison, tracker: str, convention: Convention) -> dict[str, Any]:

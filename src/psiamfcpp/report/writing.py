@@ -7,10 +7,11 @@ from pathlib import Path
 import cv2
 
 from psiamfcpp.errors import UserError
+from psiamfcpp.evaluation.measured import CONVENTIONS
 from psiamfcpp.files import write_whole
 from psiamfcpp.geometry import Image
 from psiamfcpp.report import page, plots, tables
-from psiamfcpp.report.compare import CONVENTIONS, Comparison
+from psiamfcpp.report.compare import Comparison
 from psiamfcpp.report.published import published
 from psiamfcpp.report.strips import strips
 

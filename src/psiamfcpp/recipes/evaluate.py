@@ -1,0 +1,77 @@
+"""Run trackers over a benchmark and score them."""
+
+from __future__ import annotations
+
+import contextlib
+import tempfile
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from psiamfcpp.datasets import BENCHMARKS, BenchmarkName
+from psiamfcpp.errors import UserError
+from psiamfcpp.evaluation.measured import CONVENTIONS, Measured
+from psiamfcpp.evaluation.running import result_files, run
+from psiamfcpp.recipes.score import measure_all
+from psiamfcpp.trackers import TrackerOptions, choose
+from psiamfcpp.zoo import DEFAULT_MODEL
+
+_DEFAULT = TrackerOptions()
+
+
+def evaluate(
+    root: Path,
+    dataset: BenchmarkName = "folder",
+    trackers: Sequence[str] = (DEFAULT_MODEL,),
+    results: Path | None = None,
+    jobs: int = 1,
+    cluster: str | None = None,
+    allow_missing: bool = False,
+    options: TrackerOptions = _DEFAULT,
+    note: Callable[[str], None] = lambda line: None,
+    advance: Callable[[int, int], None] = lambda done, total: None,
+) -> list[Measured]:
+    """Run trackers over a benchmark, or a folder of sequences, and score them (one-pass evaluation).
+
+    Args:
+        root: the benchmark's folder; for `folder`, one of sequences, each with img/ and groundtruth_rect.txt.
+        dataset: name of the benchmark.
+        trackers: as of `psiamfcpp.open_tracker`.
+        results: folder to keep boxes and times in, written sequence by sequence; what it holds is not run again.
+        jobs: sequences that are run side by side; leave it at 1 to measure speed.
+        cluster: address of a Dask scheduler (tcp://HOST:PORT) whose workers run the sequences instead.
+        allow_missing: score a tracker on the sequences that could be run.
+        options: how our models run.
+        note: receives one line about each sequence that could not be run.
+        advance: receives the number of sequences that were completed since the last call, and the total.
+
+    Returns:
+        One entry per tracker, in both conventions.
+
+    Raises:
+        UserError: the benchmark cannot be read, a tracker cannot be opened, or a sequence could not be run and
+            ``allow_missing`` is false.
+    """
+    if jobs < 1:
+        raise UserError(f"--jobs is {jobs}: it must be at least 1")
+    if not trackers:
+        raise UserError("--tracker names none: give a model, or another as opencv:mil")
+    choices = [choose(entry, options) for entry in trackers]
+    sequences = BENCHMARKS[dataset].read(root.resolve())
+    total = len(choices) * len(sequences)
+    with contextlib.ExitStack() as stack:
+        place = results or Path(stack.enter_context(tempfile.TemporaryDirectory()))
+        problems = run(choices, dataset, root, sequences, place, jobs, cluster, lambda count: advance(count, total))
+        _check(problems, allow_missing, results, note)
+        labels = {sequence.name: sequence.boxes for sequence in sequences}
+        files = {choice.name: result_files(place / dataset / choice.name, sequences) for choice in choices}
+        return measure_all(dataset, labels, files, CONVENTIONS, allow_missing, note)
+
+
+def _check(problems: list[str], allow_missing: bool, results: Path | None, note: Callable[[str], None]) -> None:
+    """Pass on what could not be run; without leave for that, raise the first of it."""
+    for problem in problems if allow_missing else problems[1:]:
+        note(problem)
+    if problems and not allow_missing:
+        kept = f"; what could be run is kept in {results}" if results else ""
+        more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
+        raise UserError(f"{problems[0]}{more}{kept}; --allow-missing scores the rest")

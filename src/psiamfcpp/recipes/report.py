@@ -1,0 +1,46 @@
+"""Set trackers side by side on a page."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+
+from psiamfcpp.errors import UserError
+from psiamfcpp.report.compare import collect
+from psiamfcpp.report.writing import write_report
+
+
+def report(
+    results: Sequence[Path],
+    output: Path,
+    annotations: Mapping[str, Path] | None = None,
+    allow_missing: bool = False,
+    note: Callable[[str], None] = lambda line: None,
+) -> list[Path]:
+    """Write a page with figures, plots and frames of trackers, and its tables and plots as files.
+
+    Args:
+        results: folders that `evaluate` wrote, or that others publish.
+        output: folder to write report.html and the files beside it to.
+        annotations: labels by benchmark, for boxes of others; what `evaluate` wrote names its own.
+        allow_missing: score a tracker on the sequences that it has.
+        note: receives one line about each tracker that lacks sequences.
+
+    Returns:
+        The files, the page first.
+
+    Raises:
+        UserError: a folder holds no result, labels are missing, or a file cannot be written.
+        ModuleNotFoundError: matplotlib is not installed (extra ``report``).
+    """
+    if not results:
+        raise UserError("no folder of results is named: give those that `evaluate` wrote")
+    import matplotlib  # noqa: F401 - its absence must be said before the results are read
+
+    comparisons = collect(list(results), dict(annotations or {}), allow_missing)
+    for c in comparisons:
+        for entry in c.measured:
+            if entry.missing:
+                count = f"{entry.missing} of {len(c.sequences)}"
+                note(f"{entry.tracker}: {count} sequences of {c.dataset} are missing and do not count")
+    return write_report(comparisons, output)

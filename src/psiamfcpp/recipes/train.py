@@ -1,0 +1,112 @@
+"""Train a network, or fine-tune one."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from psiamfcpp import __version__
+from psiamfcpp.datasets.choice import DataChoice
+from psiamfcpp.training.options import RunOptions, TrainOptions
+
+if TYPE_CHECKING:
+    from psiamfcpp.models import SiamFCpp
+
+_OPTIONS, _RUN = TrainOptions(), RunOptions()
+
+
+def train(
+    data: DataChoice,
+    init: Path,
+    output: Path,
+    options: TrainOptions = _OPTIONS,
+    run: RunOptions = _RUN,
+    note: str = "",
+    on_row: Callable[[dict[str, Any]], None] = lambda row: None,
+    on_start: Callable[[str], None] = lambda line: None,
+) -> Path:
+    """Train a network, or continue the run found in the output folder.
+
+    Args:
+        data: training sets and their held-out part.
+        init: start: a checkpoint of ours, a shipped model's name, or torchvision's AlexNet features (.safetensors).
+        output: folder of the run: model.safetensors, state.pt, log.jsonl, curve.png.
+        options: what decides the result.
+        run: how it is carried out.
+        note: a line on the data for the model's provenance.
+        on_row: receives each row of the log as it is written.
+        on_start: receives one line on the data before the first step.
+
+    Returns:
+        The trained checkpoint: the running mean of the weights.
+
+    Raises:
+        UserError: data or initial weights cannot be read, or the folder holds a run with other options.
+    """
+    import torch
+
+    from psiamfcpp.training.curve import draw_curve
+    from psiamfcpp.training.loop import LOG_FILE, MODEL_FILE
+    from psiamfcpp.training.loop import train as run_training
+
+    training, held_out = data.training, data.held_out
+    torch.manual_seed(options.seed)
+    model = _start(init, options.seed)
+    model.spec = dataclasses.replace(
+        model.spec,
+        search_size=options.pairs.search_size,
+        provenance=_provenance(model.spec.provenance, init, data, options, note),
+    )
+    first = os.environ.get("RANK", "0") == "0"
+    if first:
+        on_start(f"{len(training)} targets to train on, {len(held_out)} clips held out")
+    try:
+        for row in run_training(model, training, held_out, output, options, run):
+            on_row(row)
+    finally:
+        if first and (output / LOG_FILE).exists():
+            draw_curve(output / LOG_FILE, output / "curve.png")
+    return output / MODEL_FILE
+
+
+def _start(init: Path, seed: int) -> SiamFCpp:
+    """The network to begin with, from a checkpoint or from ImageNet features."""
+    from psiamfcpp.models import SiamFCpp, load
+    from psiamfcpp.models.alexnet import init_backbone, is_alexnet
+    from psiamfcpp.models.initial import init_neck_and_head
+    from psiamfcpp.zoo import weights_path
+
+    path = weights_path(init)
+    if not is_alexnet(path):
+        return load(path)
+    model = SiamFCpp()
+    init_backbone(model, path, seed)
+    init_neck_and_head(model, seed)
+    return model
+
+
+def _provenance(
+    before: dict[str, Any], init: Path, data: DataChoice, options: TrainOptions, note: str
+) -> dict[str, Any]:
+    """What is known of the model's making: the stages before, and this one."""
+    stage = {
+        "init": init.name,
+        "data": data.named,
+        "options": _described(options),
+        "version": __version__,
+    }
+    if note:
+        stage["note"] = note
+    return {**before, "training": [*before.get("training", []), stage]}
+
+
+def _described(options: TrainOptions) -> dict[str, Any]:
+    """The options; a teacher's file is named without its folder, and not at all where there is none."""
+    described = dataclasses.asdict(options)
+    teacher = described.pop("teacher")
+    if options.teacher.teacher:
+        described["teacher"] = {**teacher, "teacher": Path(options.teacher.teacher).name}
+    return described
