@@ -25,6 +25,7 @@ FULL_WIDTHS: dict[str, int] = architecture(DEFAULT).groups
 # What JSON may hold for a field, by its annotation.
 _NUMBERS: dict[Any, Any] = {"int": int, "float": (int, float)}
 
+
 @dataclass(frozen=True)
 class TrackingConstants:
     """Constants of the tracking procedure; the defaults are those of SiamFC++'s authors, for every benchmark."""

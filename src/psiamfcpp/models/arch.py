@@ -99,7 +99,7 @@ class Architecture:
     layers: tuple[Layer, ...]
     """in the order in which the network makes its modules; what a layer reads stands before it"""
     network: str
-    """``module:Class`` of the torch network, built from a `psiamfcpp.spec.ModelSpec`; `psiamfcpp.models.build` opens it"""
+    """``module:Class`` of the torch network, which takes a `psiamfcpp.spec.ModelSpec`; see `psiamfcpp.models.build`"""
     exporter: str
     """module with ``layers(model)``, ``template_graph`` and ``search_graph``, see `psiamfcpp.export.graph`"""
     template_size: int
@@ -185,22 +185,19 @@ class Architecture:
         """
         if name == PIXELS:
             return crop
-        layer, side = self[name], _before_pool(self, name, crop, template_size or self.template_size)
+        layer = self[name]
+        side = OPERATIONS[layer.operation].side(
+            layer, _sides_read(self, layer, crop, template_size or self.template_size)
+        )
         return side if layer.pool is None else -((layer.pool[0] - side) // layer.pool[1]) + 1
 
     def macs(self, widths: Mapping[str, int], search_size: int) -> int:
         """Multiply-accumulates of one search crop: convolutions and correlations."""
-        return sum(
-            OPERATIONS[layer.operation].macs(
-                layer,
-                _sides_read(self, layer, search_size, self.template_size),
-                [self.width(read, widths) for read in layer.reads],
-                _before_pool(self, layer.name, search_size, self.template_size),
-                self.width(layer.name, widths),
-            )
-            for layer in self.layers
-            if "search" in self.views[layer.name]
-        )
+        macs = 0
+        for layer, sides, side in _searched(self, search_size):
+            read = [self.width(name, widths) for name in layer.reads]
+            macs += OPERATIONS[layer.operation].macs(layer, sides, read, side, self.width(layer.name, widths))
+        return macs
 
     def feature_size(self, side: int) -> int:
         """Side of the backbone's map for a crop of ``side`` pixels."""
@@ -228,7 +225,7 @@ class Architecture:
 
     @functools.cached_property
     def readers(self) -> dict[str, tuple[str, ...]]:
-        """For each layer of the graphs that convolutions read directly or through a pool: those, by their names there."""
+        """For each layer of the graphs, the convolutions that read it directly or through a pool, by their names there."""
         found: dict[str, list[str]] = {}
         for layer in self.layers:
             for read in layer.reads:
@@ -238,11 +235,14 @@ class Architecture:
         return {name: tuple(readers) for name, readers in found.items()}
 
 
-@functools.lru_cache(maxsize=4096)
-def _before_pool(arch: Architecture, name: str, crop: int, template_size: int) -> int:
-    """Side of a layer's map before its pool; planning asks for it thousands of times."""
-    layer = arch[name]
-    return OPERATIONS[layer.operation].side(layer, _sides_read(arch, layer, crop, template_size))
+@functools.lru_cache(maxsize=64)
+def _searched(arch: Architecture, search_size: int) -> list[tuple[Layer, list[int], int]]:
+    """Layers of the search pass, with the sides of what they read and of their maps before the pool."""
+    rows = [layer for layer in arch.layers if "search" in arch.views[layer.name]]
+    read = [_sides_read(arch, layer, search_size, arch.template_size) for layer in rows]
+    return [
+        (layer, sides, OPERATIONS[layer.operation].side(layer, sides)) for layer, sides in zip(rows, read, strict=True)
+    ]
 
 
 def _sides_read(arch: Architecture, layer: Layer, crop: int, template_size: int) -> list[int]:
