@@ -11,13 +11,15 @@ from tests.models.conftest import UNEVEN, randomize
 
 from psiamfcpp.export.crops import Pair, rendered, sample
 from psiamfcpp.export.graph import Ranges, search_graph, template_graph
-from psiamfcpp.export.layers import divided, layers, readers
+from psiamfcpp.export.layers import divided, layers
 from psiamfcpp.export.quantize import losses, measure, without
+from psiamfcpp.models.arch import DEFAULT, architecture
 from psiamfcpp.models.network import SiamFCpp
 from psiamfcpp.runtime.onnx_engine import open_session
 from psiamfcpp.spec import ModelSpec
 
 onnx = pytest.importorskip("onnx")
+READERS = architecture(DEFAULT).readers
 
 
 @pytest.fixture(scope="module")
@@ -129,8 +131,8 @@ def test_kernels_far_from_those_of_the_calibration_keep_their_eight_bits(
 
 def test_uneven_widths_are_filled_up_with_filters_of_zeros(network: SiamFCpp) -> None:
     filled = layers(network)
-    assert set(readers()) <= set(filled) and any(width % 4 for width in UNEVEN.values())
-    for name, after in readers().items():
+    assert set(READERS) <= set(filled) and any(width % 4 for width in UNEVEN.values())
+    for name, after in READERS.items():
         width, own = UNEVEN[name], filled[name]
         assert len(own.bias) == -(-width // 4) * 4
         assert not own.weight[width:].any() and not own.bias[width:].any()
@@ -139,12 +141,12 @@ def test_uneven_widths_are_filled_up_with_filters_of_zeros(network: SiamFCpp) ->
 
 def test_dividing_channels_changes_nothing_that_comes_out(network: SiamFCpp, pairs: list[Pair]) -> None:
     rng = np.random.default_rng(0)
-    factors = {name: rng.uniform(0.2, 5, len(layers(network)[name].bias)).astype(np.float32) for name in readers()}
+    factors = {name: rng.uniform(0.2, 5, len(layers(network)[name].bias)).astype(np.float32) for name in READERS}
     expected, found = (answer(network, Ranges(factors=some), pairs[0]) for some in ({}, factors))
     assert_allclose(found[0], expected[0], atol=2e-3)  # weights are stored in half precision
     assert_allclose(found[1], expected[1], rtol=0.02, atol=0.5)
-    plain, changed = layers(network), divided(layers(network), factors)
-    assert all((changed[name].gain != plain[name].gain).all() for name in readers())
+    plain, changed = layers(network), divided(layers(network), factors, network.spec.arch)
+    assert all((changed[name].gain != plain[name].gain).all() for name in READERS)
 
 
 def test_channels_and_the_weights_that_read_them_are_brought_nearer_to_each_other(network: SiamFCpp) -> None:

@@ -225,7 +225,7 @@ class Architecture:
 
     @functools.cached_property
     def readers(self) -> dict[str, tuple[str, ...]]:
-        """For each layer of the graphs, the convolutions that read it directly or through a pool, by their names there."""
+        """For each layer of the graphs, the convolutions that read it, through a pool or not, by their names there."""
         found: dict[str, list[str]] = {}
         for layer in self.layers:
             for read in layer.reads:
