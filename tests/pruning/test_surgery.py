@@ -12,8 +12,8 @@ from psiamfcpp.errors import UserError
 from psiamfcpp.models import SiamFCpp
 from psiamfcpp.models.cost import count_parameters
 from psiamfcpp.pruning import Plan, plan, prune, rank
-from psiamfcpp.pruning.groups import find_groups, siamfcpp_groups
-from psiamfcpp.pruning.surgery import prune_siamfcpp
+from psiamfcpp.pruning.groups import find_groups
+from psiamfcpp.pruning.models import groups_of, prune_model
 from psiamfcpp.spec import FULL_WIDTHS, Calibration, ModelSpec
 
 from .conftest import WIDTHS, randomize, silence
@@ -35,7 +35,7 @@ def run(model: nn.Module, *inputs: torch.Tensor) -> tuple[torch.Tensor, ...]:
 
 def test_keeping_everything_changes_no_bit(siamese: SiamFCpp, pair: Pair) -> None:
     whole = Plan({name: list(range(width)) for name, width in WIDTHS.items()})
-    pruned = prune_siamfcpp(siamese, whole)
+    pruned = prune_model(siamese, whole)
     assert pruned is not siamese
     assert pruned.spec == siamese.spec
     state = pruned.state_dict()
@@ -48,9 +48,9 @@ def test_keeping_everything_changes_no_bit(siamese: SiamFCpp, pair: Pair) -> Non
 def test_a_pruned_network_is_the_full_one_with_those_filters_silenced(
     siamese: SiamFCpp, pair: Pair, group: str
 ) -> None:
-    groups = siamfcpp_groups(WIDTHS)
+    groups = groups_of(ModelSpec(widths=dict(WIDTHS)))
     chosen = some(WIDTHS if group == "all" else {group: WIDTHS[group]})
-    pruned = prune_siamfcpp(siamese, chosen)
+    pruned = prune_model(siamese, chosen)
     assert pruned.spec.widths == {**WIDTHS, **chosen.widths}
     before = run(siamese, *pair)
     silence(siamese, chosen, groups)
@@ -72,7 +72,7 @@ def test_filters_whose_maps_are_zero_go_without_a_trace(siamese: SiamFCpp, pair:
     }
     with torch.no_grad():
         for name, number in dead.items():
-            for block_name in siamfcpp_groups(WIDTHS)[name].blocks:
+            for block_name in groups_of(ModelSpec(widths=dict(WIDTHS)))[name].blocks:
                 block = siamese.get_submodule(block_name)
                 block.conv.weight[number] = 0
                 block.conv.bias[number] = 0
@@ -80,10 +80,10 @@ def test_filters_whose_maps_are_zero_go_without_a_trace(siamese: SiamFCpp, pair:
                     # Below zero before ReLU, zero where there is none.
                     block.bn.bias[number] = -1 if block.relu else 0
                     block.bn.running_mean[number] = 0
-    table = rank(siamese, [pair], siamfcpp_groups(WIDTHS))
+    table = rank(siamese, [pair], groups_of(ModelSpec(widths=dict(WIDTHS))))
     assert all(table.groups[name].rank[number] == 0 for name, number in dead.items())
     chosen = Plan({name: [f for f in range(WIDTHS[name]) if f != number] for name, number in dead.items()})
-    before, after = run(siamese, *pair), run(prune_siamfcpp(siamese, chosen), *pair)
+    before, after = run(siamese, *pair), run(prune_model(siamese, chosen), *pair)
     assert (before[0] - after[0]).abs().max() < 1e-5
     assert (before[1] - after[1]).abs().max() < 1e-2  # pixels of boxes of up to thousands
     torch.testing.assert_close(before[1], after[1], atol=1e-3, rtol=1e-5)
@@ -94,7 +94,7 @@ def test_spec_keeps_all_but_the_widths() -> None:
         widths=dict(WIDTHS), search_size=239, calibration=Calibration(bias=2.0), provenance={"training": ["x"]}
     )
     model = randomize(SiamFCpp(spec))
-    pruned = prune_siamfcpp(model, Plan({"head.cls1": [1]}))
+    pruned = prune_model(model, Plan({"head.cls1": [1]}))
     assert pruned.spec.widths == {**WIDTHS, "head.cls1": 1}
     assert (pruned.spec.search_size, pruned.spec.calibration, pruned.spec.constants, pruned.spec.provenance) == (
         239,
@@ -103,16 +103,17 @@ def test_spec_keeps_all_but_the_widths() -> None:
         spec.provenance,
     )
     assert model.spec is spec and model.head.cls1.conv.out_channels == WIDTHS["head.cls1"]
-    assert not pruned.training and prune_siamfcpp(model.train(), Plan({"head.cls1": [1]})).training
+    assert not pruned.training and prune_model(model.train(), Plan({"head.cls1": [1]})).training
 
 
 def test_the_papers_plan_gives_the_papers_parameters() -> None:
-    from psiamfcpp.pruning.planning import PAPER_KEEP, kept_count
+    from psiamfcpp.models.siamfcpp_alexnet import PAPER_KEEP
+    from psiamfcpp.pruning.planning import kept_count
 
     model = SiamFCpp()
     keep = {name: list(range(kept_count(name, FULL_WIDTHS[name], share))) for name, share in PAPER_KEEP.items()}
     assert count_parameters(model) == 9_655_380
-    assert count_parameters(prune_siamfcpp(model, Plan(keep))) == 7_489_986
+    assert count_parameters(prune_model(model, Plan(keep))) == 7_489_986
 
 
 @pytest.mark.parametrize("name", ["stem.0", "blocks.0.conv1", "blocks.1.conv1", "last.0", "all"])
@@ -150,9 +151,9 @@ def test_parts_of_a_grouped_convolution_must_keep_the_same_positions(residual: n
 
 def test_plans_for_another_network_are_refused(siamese: SiamFCpp) -> None:
     with pytest.raises(UserError, match=r"filter 96 of backbone\.conv1, which has 4"):
-        prune_siamfcpp(siamese, Plan({"backbone.conv1": [0, 96]}))
+        prune_model(siamese, Plan({"backbone.conv1": [0, 96]}))
     with pytest.raises(UserError, match="names conv9"):
-        prune_siamfcpp(siamese, Plan({"conv9": [0]}))
+        prune_model(siamese, Plan({"conv9": [0]}))
 
 
 def test_the_example_runs(example: ModuleType, capsys: pytest.CaptureFixture[str]) -> None:
