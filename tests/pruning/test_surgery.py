@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from types import ModuleType
+from typing import Any
 
 import pytest
 import torch
+import torch.nn.utils.prune
 from torch import nn
 
 from psiamfcpp.errors import UserError
@@ -164,3 +166,116 @@ def test_the_example_runs(example: ModuleType, capsys: pytest.CaptureFixture[str
     assert parameters[0] == sum(p.numel() for p in example.Net().parameters())
     assert parameters[1] == parameters[2] < 0.5 * parameters[0]
     assert off[0] == 0 < off[2] < 0.2 * off[1]
+
+
+class Shuffle(nn.Module):
+    """A convolution, its channels in another order, and a convolution that reads them."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.a, self.o = nn.Conv2d(3, 8, 3), nn.Conv2d(8, 2, 1)
+
+    def forward(self, x: torch.Tensor) -> torch.Tensor:
+        a = self.a(x)
+        b, c, h, w = a.shape
+        return self.o(a.view(b, 2, c // 2, h, w).transpose(1, 2).reshape(b, c, h, w))
+
+
+class Counting(nn.Module):
+    """A mean over channels, which changes with their number."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.a, self.o = nn.Conv2d(3, 8, 3), nn.Conv2d(1, 2, 1)
+
+    def forward(self, x: torch.Tensor) -> torch.Tensor:
+        return self.o(self.a(x).mean(dim=1, keepdim=True))
+
+
+class Fixed(nn.Module):
+    """A reshape to a number of channels that is written down."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.a, self.o = nn.Conv2d(3, 8, 3), nn.Conv2d(8, 2, 1)
+
+    def forward(self, x: torch.Tensor) -> torch.Tensor:
+        a = self.a(x)
+        return self.o(a.reshape(len(x), 8, *a.shape[2:]))
+
+
+@pytest.mark.parametrize("network", [Shuffle, Counting, Fixed])
+def test_cuts_that_change_what_the_kept_filters_do_are_refused(network: type[nn.Module]) -> None:
+    torch.manual_seed(0)
+    with pytest.raises(UserError, match="without the removed filters of a .*keep these groups whole"):
+        prune(network().eval(), torch.rand(1, 3, 16, 16), Plan({"a": [0, 2, 4, 6]}))
+    assert prune(network(), torch.rand(1, 3, 16, 16), Plan({"a": list(range(8))})).a.out_channels == 8
+
+
+@pytest.mark.parametrize("norm", [nn.GroupNorm(2, 8), nn.BatchNorm2d(8), nn.InstanceNorm2d(8, affine=True)])
+def test_norms_over_several_channels_take_their_statistics_over_those_that_are_left(norm: nn.Module) -> None:
+    torch.manual_seed(0)
+    network = randomize(nn.Sequential(nn.Conv2d(3, 8, 3), norm, nn.ReLU(), nn.Flatten(), nn.Linear(8 * 36, 2)))
+    pruned = prune(network, torch.rand(1, 3, 8, 8), Plan({"0": [0, 2, 4, 6]}))
+    assert (pruned[0].out_channels, pruned[4].in_features) == (4, 4 * 36)
+
+
+def test_networks_with_inputs_by_name_are_checked_as_well() -> None:
+    class Named(Shuffle):
+        def forward(self, image: torch.Tensor) -> dict[str, list[torch.Tensor]]:  # type: ignore[override]
+            return {"maps": [self.o(self.a(image))]}
+
+    assert prune(Named().eval(), {"image": torch.rand(1, 3, 9, 9)}, Plan({"a": [1, 3]})).a.out_channels == 2
+
+
+def test_inference_mode_is_refused() -> None:
+    network, x = nn.Sequential(nn.Conv2d(3, 8, 3), nn.ReLU(), nn.Conv2d(8, 2, 1)), torch.rand(1, 3, 9, 9)
+    with torch.inference_mode():
+        for act in (lambda: find_groups(network, x), lambda: prune(network, x, Plan({"0": [0]}))):
+            with pytest.raises(UserError, match="inference_mode"):
+                act()
+
+
+def masked(layer: nn.Module) -> None:
+    torch.nn.utils.prune.l1_unstructured(layer, "weight", 0.3)
+
+
+def masked_bias(layer: nn.Module) -> None:
+    torch.nn.utils.prune.random_unstructured(layer, "bias", 0.3)
+
+
+@pytest.mark.parametrize(
+    "change", [masked, masked_bias, torch.nn.utils.parametrizations.weight_norm, torch.nn.utils.spectral_norm]
+)
+def test_masked_and_parametrized_weights_must_be_made_permanent_first(change: Any) -> None:
+    network, x = nn.Sequential(nn.Conv2d(3, 8, 3), nn.ReLU(), nn.Conv2d(8, 2, 1)).eval(), torch.rand(1, 3, 9, 9)
+    change(network[0])
+    with pytest.raises(UserError, match="of 0 is computed from other tensors.*make it permanent first"):
+        prune(network, x, Plan({"0": [0, 2]}))
+    if change is masked:
+        torch.nn.utils.prune.remove(network[0], "weight")
+        assert prune(network, x, Plan({"0": [0, 2]}))[0].out_channels == 2
+
+
+def test_a_depthwise_layer_of_several_outputs_cannot_be_cut() -> None:
+    network = nn.Sequential(nn.Conv2d(3, 8, 3), nn.Conv2d(8, 16, 3, groups=8), nn.Conv2d(16, 2, 1))
+    x = torch.rand(1, 3, 9, 9)
+    name, group = next(iter(find_groups(network, x).items()))
+    with pytest.raises(UserError, match="depthwise convolution with several outputs"):
+        prune(network, x, Plan({name: list(range(1, group.width))}))
+
+
+def test_a_printed_group_says_what_is_tied_to_what(residual: nn.Module) -> None:
+    groups = find_groups(residual, torch.rand(1, 3, 12, 12))
+    assert str(groups["stem.0"]) == (
+        "stem.0: 16 filters; tied in stem.0, blocks.0.conv2, blocks.1.conv2; the same positions in each of 4 parts; "
+        "read by blocks.0.conv1, blocks.1.conv1, last.0"
+    )
+    assert str(groups["last.0"]) == "last.0: 12 filters; read by classifier"
+    ours = groups_of(ModelSpec())
+    assert str(ours["neck.cls"]) == (
+        "neck.cls: 256 filters; tied in neck.cls_template, neck.cls_search; read by head.cls1"
+    )
+    assert str(ours["backbone.conv5"]).endswith(
+        "read by neck.cls_template, neck.cls_search, neck.reg_template, neck.reg_search"
+    )
