@@ -1,7 +1,7 @@
-"""What a model file says about itself: widths, crop sizes, tracking constants, calibration, provenance.
+"""What a model file says about itself: architecture, widths, crop sizes, constants, calibration, provenance.
 
 This is the JSON in the metadata of a checkpoint, so it lives below both the network and the tracker and imports
-neither.
+neither; of `models` it reads the tables of layers alone.
 """
 
 from __future__ import annotations
@@ -15,30 +15,15 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from psiamfcpp.errors import UserError
+from psiamfcpp.models.arch import DEFAULT, Architecture, architecture
 
 FORMAT = "psiamfcpp-model/1"
-TEMPLATE_SIZE = 127
-STRIDE = 8
+# Those of the default architecture; a `ModelSpec` names its own.
+TEMPLATE_SIZE = architecture(DEFAULT).template_size
+STRIDE = architecture(DEFAULT).stride
+FULL_WIDTHS: dict[str, int] = architecture(DEFAULT).groups
 # What JSON may hold for a field, by its annotation.
 _NUMBERS: dict[Any, Any] = {"int": int, "float": (int, float)}
-
-# The 13 prunable groups with the widths of SiamFC++ (AlexNet). Neck groups tie the template and the search layer,
-# since the depth-wise correlation multiplies them channel by channel.
-FULL_WIDTHS: dict[str, int] = {
-    "backbone.conv1": 96,
-    "backbone.conv2": 256,
-    "backbone.conv3": 384,
-    "backbone.conv4": 384,
-    "backbone.conv5": 256,
-    "neck.cls": 256,
-    "neck.reg": 256,
-    "head.cls1": 256,
-    "head.cls2": 256,
-    "head.cls3": 256,
-    "head.reg1": 256,
-    "head.reg2": 256,
-    "head.reg3": 256,
-}
 
 
 @dataclass(frozen=True)
@@ -78,18 +63,29 @@ class ModelSpec:
 
     widths: dict[str, int] = field(default_factory=lambda: dict(FULL_WIDTHS))
     template_size: int = TEMPLATE_SIZE
-    search_size: int = 303
+    search_size: int = architecture(DEFAULT).search_size
     constants: TrackingConstants = TrackingConstants()
     calibration: Calibration = Calibration()
     provenance: dict[str, Any] = field(default_factory=dict)
+    architecture: str = DEFAULT
+    """a key of `psiamfcpp.models.arch.ARCHITECTURES`"""
 
     def __post_init__(self) -> None:
-        _check_widths(self.widths)
-        score_size(self.search_size, self.template_size)
+        _check_widths(self.widths, self.arch)
+        self.arch.score_size(self.search_size, self.template_size)
+
+    @property
+    def arch(self) -> Architecture:
+        """The table of the architecture."""
+        return architecture(self.architecture)
 
     def to_json(self) -> str:
-        """The spec as one JSON object, keys sorted, with its format name."""
-        return json.dumps({"format": FORMAT, **dataclasses.asdict(self)}, sort_keys=True)
+        """Return the spec as one JSON object, keys sorted, with its format name."""
+        data = {"format": FORMAT, **dataclasses.asdict(self)}
+        if self.architecture == DEFAULT:
+            # Not stated, so that version 0.1 reads these files as well.
+            del data["architecture"]
+        return json.dumps(data, sort_keys=True)
 
     @classmethod
     def from_json(cls, text: str) -> ModelSpec:
@@ -110,36 +106,30 @@ class ModelSpec:
 
 
 def feature_size(side: int) -> int:
-    """Side of the backbone's map for a crop of ``side`` pixels (design of AlexNet without padding, pools round up)."""
-    conv1 = (side - 11) // 2 + 1
-    pool1 = math.ceil((conv1 - 3) / 2) + 1
-    pool2 = math.ceil((pool1 - 4 - 3) / 2) + 1
-    return pool2 - 6
+    """Return the side of the default backbone's map for a crop of ``side`` pixels: 28 for 303."""
+    return architecture(DEFAULT).feature_size(side)
 
 
 def score_size(search_size: int, template_size: int = TEMPLATE_SIZE) -> int:
-    """Side of the score map: 17 for a search crop of 303 pixels and a template of 127.
+    """Return the side of the default architecture's score map: 17 for crops of 303 and 127 pixels.
 
     Raises:
         UserError: the sizes leave no map, or its cells would not lie symmetrically about the crop's centre.
     """
-    if (search_size - template_size) % STRIDE or search_size % 2 == 0:
-        raise UserError(f"search size {search_size} is not {template_size} plus a multiple of {STRIDE}: try 239 or 303")
-    cells = (feature_size(search_size) - 2) - (feature_size(template_size) - 2) + 1 - 6
-    if cells < 3:
-        raise UserError(f"search size {search_size} leaves a score map of {cells} cells: try 239 or 303")
-    return cells
+    return architecture(DEFAULT).score_size(search_size, template_size)
 
 
 def first_cell(search_size: int, template_size: int = TEMPLATE_SIZE) -> int:
-    """Pixel of the search crop, in x and in y, at which cell 0 of the score map stands: 87 for 303."""
+    """Return the pixel of the search crop, in x and in y, at which cell 0 of the score map stands: 87 for 303."""
     return (search_size - 1 - (score_size(search_size, template_size) - 1) * STRIDE) // 2
 
 
-def _check_widths(widths: Mapping[str, int]) -> None:
-    missing, extra = set(FULL_WIDTHS) - set(widths), set(widths) - set(FULL_WIDTHS)
+def _check_widths(widths: Mapping[str, int], arch: Architecture) -> None:
+    missing, extra = set(arch.groups) - set(widths), set(widths) - set(arch.groups)
     if missing or extra:
-        raise UserError(f"widths need the 13 groups; missing {sorted(missing)}, unknown {sorted(extra)}")
+        raise UserError(
+            f"widths need the {len(arch.groups)} groups; missing {sorted(missing)}, unknown {sorted(extra)}"
+        )
     for name, width in widths.items():
         if not isinstance(width, int) or width < 1:
             raise UserError(f"width of {name} is {width!r}: it must be a whole number above 0")

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from psiamfcpp.pruning.report import criteria_table, ratio_table
+from psiamfcpp.recipes.sensitivity_report import criteria_table, ratio_table
 from psiamfcpp.spec import FULL_WIDTHS
 
 from .conftest import Run
@@ -40,7 +40,7 @@ def test_cells_without_and_with_fine_tuning(
     args = ["sensitivity", tiny_model, "--ranks", ranks, "--root", clips, "-o", output, "--data", f"folder:{clips}"]
     args += [*TUNING, "--rows", "head.2", "--shares", "0.25", "0.5"]
 
-    from psiamfcpp.pruning import sensitivity
+    from psiamfcpp.recipes import sensitivity
 
     measured: list[str] = []
     measure = sensitivity.measure

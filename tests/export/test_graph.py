@@ -3,27 +3,29 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
 
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
+from tests.models.conftest import UNEVEN, randomize
 
 from psiamfcpp.export.crops import Pair, rendered, sample
 from psiamfcpp.export.graph import Ranges, search_graph, template_graph
-from psiamfcpp.export.layers import divided, layers, readers
+from psiamfcpp.export.layers import divided, layers
 from psiamfcpp.export.quantize import losses, measure, without
+from psiamfcpp.models.arch import DEFAULT, architecture
 from psiamfcpp.models.network import SiamFCpp
 from psiamfcpp.runtime.onnx_engine import open_session
 from psiamfcpp.spec import ModelSpec
 
 onnx = pytest.importorskip("onnx")
+READERS = architecture(DEFAULT).readers
 
 
 @pytest.fixture(scope="module")
-def network(make_network: Callable[..., SiamFCpp]) -> SiamFCpp:
+def network() -> SiamFCpp:
     # rounded as shipped checkpoints are, which the graphs store without loss
-    return make_network(3).half().float()
+    return randomize(SiamFCpp(ModelSpec(widths=UNEVEN)), 3).half().float()
 
 
 @pytest.fixture(scope="module")
@@ -69,10 +71,9 @@ def test_float_graphs_compute_the_network_with_folded_batchnorm(network: SiamFCp
     assert_allclose(boxes, expected[1], rtol=1e-3, atol=0.02)
 
 
-def test_half_precision_weights_lose_nothing_in_the_graph(make_network: Callable[..., SiamFCpp]) -> None:
-    unrounded = make_network(3)
-    graph_weights = layers(unrounded)
-    model = template_graph(unrounded.spec, graph_weights, Ranges())
+def test_half_precision_weights_lose_nothing_in_the_graph() -> None:
+    graph_weights = layers(randomize(SiamFCpp(ModelSpec(widths=UNEVEN)).half().float(), 3))
+    model = template_graph(ModelSpec(widths=UNEVEN), graph_weights, Ranges())
     stored = {t.name: onnx.numpy_helper.to_array(t) for t in model.graph.initializer}
     name = "backbone.conv3"
     half = graph_weights[name].weight.astype(np.float16).astype(np.float32)
@@ -130,9 +131,9 @@ def test_kernels_far_from_those_of_the_calibration_keep_their_eight_bits(
 
 def test_uneven_widths_are_filled_up_with_filters_of_zeros(network: SiamFCpp) -> None:
     filled = layers(network)
-    assert set(readers()) <= set(filled) and any(width % 4 for width in network.spec.widths.values())
-    for name, after in readers().items():
-        width, own = network.spec.widths[name], filled[name]
+    assert set(READERS) <= set(filled) and any(width % 4 for width in UNEVEN.values())
+    for name, after in READERS.items():
+        width, own = UNEVEN[name], filled[name]
         assert len(own.bias) == -(-width // 4) * 4
         assert not own.weight[width:].any() and not own.bias[width:].any()
         assert all(filled[reader].weight.shape[1] == len(own.bias) for reader in after)
@@ -140,12 +141,12 @@ def test_uneven_widths_are_filled_up_with_filters_of_zeros(network: SiamFCpp) ->
 
 def test_dividing_channels_changes_nothing_that_comes_out(network: SiamFCpp, pairs: list[Pair]) -> None:
     rng = np.random.default_rng(0)
-    factors = {name: rng.uniform(0.2, 5, len(layers(network)[name].bias)).astype(np.float32) for name in readers()}
+    factors = {name: rng.uniform(0.2, 5, len(layers(network)[name].bias)).astype(np.float32) for name in READERS}
     expected, found = (answer(network, Ranges(factors=some), pairs[0]) for some in ({}, factors))
     assert_allclose(found[0], expected[0], atol=2e-3)  # weights are stored in half precision
     assert_allclose(found[1], expected[1], rtol=0.02, atol=0.5)
-    plain, changed = layers(network), divided(layers(network), factors)
-    assert all((changed[name].gain != plain[name].gain).all() for name in readers())
+    plain, changed = layers(network), divided(layers(network), factors, network.spec.arch)
+    assert all((changed[name].gain != plain[name].gain).all() for name in READERS)
 
 
 def test_channels_and_the_weights_that_read_them_are_brought_nearer_to_each_other(network: SiamFCpp) -> None:

@@ -10,7 +10,7 @@ from torch import Tensor, nn
 from psiamfcpp.models import SiamFCpp
 from psiamfcpp.models.cost import count_parameters, search_macs
 from psiamfcpp.models.network import cell_grid, depthwise_correlation, to_boxes
-from psiamfcpp.spec import FULL_WIDTHS
+from psiamfcpp.spec import FULL_WIDTHS, ModelSpec
 
 PRUNED = dict(
     zip(FULL_WIDTHS, (76, 224, 337, 334, 256, 256, 256, 230, 138, 224, 227, 145, 224), strict=True),
@@ -121,18 +121,18 @@ def test_parameters(make_network, widths: dict[str, int], count: int):
 
 
 def test_macs_of_the_full_network_are_those_that_run(full_pass):
-    assert search_macs(FULL_WIDTHS, 303) == full_pass[1].macs
+    assert search_macs(ModelSpec()) == full_pass[1].macs
     assert round(full_pass[1].macs / 1e9, 2) == 8.56
 
 
 @pytest.mark.parametrize("search_size", [191, 239, 303])
 def test_macs_of_narrow_networks_are_those_that_run(make_network, search_size: int):
     network = make_network(0, search_size=search_size)
-    assert search_macs(network.spec.widths, search_size) == observe(network, search_size)[1].macs
+    assert search_macs(network.spec) == observe(network, search_size)[1].macs
 
 
 def test_macs_of_the_pruned_widths():
-    assert round(search_macs(PRUNED, 303) / 1e9, 2) == 6.47
+    assert round(search_macs(ModelSpec(widths=PRUNED)) / 1e9, 2) == 6.47
 
 
 @pytest.mark.parametrize("kernel_batch", [1, 3])

@@ -1,6 +1,9 @@
-"""Other criteria: torch-pruning's scores on our groups."""
+"""Criteria: functions of a group and its context."""
 
 from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -9,8 +12,9 @@ from torch import nn
 
 from psiamfcpp.errors import UserError
 from psiamfcpp.models import SiamFCpp
-from psiamfcpp.pruning.criteria import CRITERIA, keep_best, scores
-from psiamfcpp.pruning.groups import Group, siamfcpp_groups
+from psiamfcpp.pruning import CRITERIA, Context, Group, find_criterion, gradients_of, plan, rank, score_table, scores
+from psiamfcpp.pruning.models import groups_of
+from psiamfcpp.spec import ModelSpec
 
 from .conftest import WIDTHS
 
@@ -33,29 +37,45 @@ class Chain(nn.Module):
 X, GROUPS = torch.ones(1, 1, 4, 4), {"a": Group(("a",), 3)}
 
 
+def score(network: nn.Module, criterion: str, **context: Any) -> np.ndarray:
+    return scores(GROUPS, Context(network, X, **context), find_criterion(criterion))["a"]
+
+
 def test_norm_prefers_large_weights_on_both_sides() -> None:
-    worth = scores(Chain([1, 2, -3], [1, 2, -3]), X, GROUPS, "norm")["a"]
-    assert list(np.argsort(worth)) == [0, 1, 2]
+    assert list(np.argsort(score(Chain([1, 2, -3], [1, 2, -3]), "norm"))) == [0, 1, 2]
 
 
 def test_the_filter_nearest_to_all_others_is_worth_least_to_the_geometric_median() -> None:
-    worth = scores(Chain([0, 1, 3], [1, 1, 1]), X, GROUPS, "median")["a"]
-    assert worth.argmin() == 1
+    assert score(Chain([0, 1, 3], [1, 1, 1]), "median").argmin() == 1
 
 
 def test_taylor_prefers_what_the_loss_depends_on() -> None:
     network = Chain([1, 5, 2], [1, 0, 1])
     with pytest.raises(UserError, match="gradients"):
-        scores(network, X, GROUPS, "taylor")
+        score(network, "taylor", gradients=gradients_of(network))
     network(X).sum().backward()
-    worth = scores(network, X, GROUPS, "taylor")["a"]
+    gradients = gradients_of(network)
+    network.zero_grad()
+    worth = score(network, "taylor", gradients=gradients)
     # Weight times gradient is 1*1 and 1*1, 5*0 and 0*5, 2*1 and 1*2.
     assert worth.argmin() == 1 and worth.argmax() == 2
+    # Gradients are lent to the network for the measure alone.
+    assert all(p.grad is None for p in network.parameters())
+
+
+def test_rank_reads_the_table_and_says_where_it_lacks_a_group() -> None:
+    network = Chain([1, 2, 3], [1, 1, 1])
+    table = rank(network, [X])
+    assert (score(network, "rank", ranks=table) == table.groups["a"].rank).all()
+    for ranks in (None, rank(network, [X], {"b": Group(("b",), 1, name="b")})):
+        with pytest.raises(UserError, match="needs the rank table of a"):
+            score(network, "rank", ranks=ranks)
 
 
 def test_random_is_random_by_seed() -> None:
     network = Chain([1, 2, 3], [1, 1, 1])
-    first, again, other = (scores(network, X, GROUPS, "random", seed)["a"] for seed in (0, 0, 1))
+    first, again = (score(network, "random") for _ in range(2))
+    other = score(network, "random", generator=torch.Generator().manual_seed(1))
     assert (first == again).all() and (first != other).any()
 
 
@@ -63,18 +83,34 @@ def test_random_is_random_by_seed() -> None:
 def test_every_criterion_scores_our_groups(
     siamese: SiamFCpp, pair: tuple[torch.Tensor, torch.Tensor], criterion: str
 ) -> None:
-    if criterion == "taylor":
-        sum(out.sum() for out in siamese(*pair)).backward()
-    found = scores(siamese, pair, siamfcpp_groups(WIDTHS), criterion)
+    groups = groups_of(ModelSpec(widths=dict(WIDTHS)))
+    sum(out.sum() for out in siamese(*pair)).backward()
+    context = Context(siamese, pair, rank(siamese, [pair], groups), gradients_of(siamese))
+    found = scores(groups, context, CRITERIA[criterion])
     assert {name: worth.shape for name, worth in found.items()} == {n: (w,) for n, w in WIDTHS.items()}
-    assert all(np.isfinite(worth).all() and worth.std() > 0 for worth in found.values())
+    # Random weights leave many maps their full rank, which orders nothing.
+    assert sum(worth.std() > 0 for worth in found.values()) >= (5 if criterion == "rank" else len(WIDTHS))
+
+
+def test_a_criterion_of_the_users_own_is_imported_and_plans(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "my_criteria.py").write_text(
+        "def middle(group, context):\n    return [1.0 if i == 1 else 0.5 + i / 10 for i in range(group.width)]\n"
+    )
+    monkeypatch.chdir(tmp_path)
+    table = score_table(GROUPS, Context(Chain([1, 2, 3], [1, 1, 1]), X), find_criterion("my_criteria:middle"))
+    assert plan(table, keep={"a": 1 / 3}).keep == {"a": [1]}
+    assert plan(table, keep={"a": 2 / 3}).keep == {"a": [1, 2]}
+    for name in ("my_criteria:absent", "no_such_module:f"):
+        with pytest.raises(UserError, match=f"criterion '{name}' cannot be imported"):
+            find_criterion(name)
 
 
 def test_unknown_criteria_are_refused() -> None:
-    with pytest.raises(UserError, match="unknown criterion 'size'"):
-        scores(Chain([1, 2, 3], [1, 1, 1]), X, GROUPS, "size")
+    with pytest.raises(UserError, match="unknown criterion 'size': known are rank, norm, median, taylor, random"):
+        find_criterion("size")
 
 
-def test_the_best_are_kept() -> None:
-    assert keep_best({"a": np.array([3.0, 9, 9, 1])}, {"a": 2}).keep == {"a": [1, 2]}
-    assert keep_best({"a": np.array([3.0, 9, 9, 1])}, {"a": 3}).keep == {"a": [0, 1, 2]}
+@pytest.mark.parametrize("given", [[1.0, 2.0], [1.0, 2.0, float("nan")], [1.0, 2.0, -1.0], [[1.0, 2.0, 3.0]]])
+def test_scores_that_are_no_scores_are_refused(given: list[float]) -> None:
+    with pytest.raises(UserError, match="3 finite numbers from 0 up"):
+        scores(GROUPS, Context(Chain([1, 2, 3], [1, 1, 1]), X), lambda group, context: np.array(given))

@@ -13,8 +13,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from psiamfcpp.errors import UserError
+from psiamfcpp.models.siamfcpp_alexnet import PAPER_KEEP
 from psiamfcpp.pruning import Plan, RankTable, plan
-from psiamfcpp.pruning.planning import PAPER_KEEP, plan_for_budget, rows
+from psiamfcpp.pruning.planning import plan_for_budget, rows
 from psiamfcpp.pruning.table import GroupRanks
 from psiamfcpp.spec import FULL_WIDTHS
 

@@ -12,9 +12,10 @@ from torch import nn
 from psiamfcpp.errors import UserError
 from psiamfcpp.models import SiamFCpp
 from psiamfcpp.pruning import rank
-from psiamfcpp.pruning.groups import Group, find_groups, siamfcpp_groups
+from psiamfcpp.pruning.groups import Group, find_groups
+from psiamfcpp.pruning.models import groups_of
 from psiamfcpp.pruning.ranking import map_ranks
-from psiamfcpp.spec import FULL_WIDTHS
+from psiamfcpp.spec import FULL_WIDTHS, ModelSpec
 
 from .conftest import WIDTHS
 
@@ -140,7 +141,7 @@ def test_groups_of_a_residual_network_with_grouped_convolutions(residual: nn.Mod
 
 
 def test_the_dependency_graph_finds_our_thirteen_groups(siamese: SiamFCpp, pair: tuple[torch.Tensor, ...]) -> None:
-    ours = siamfcpp_groups(WIDTHS)
+    ours = groups_of(ModelSpec(widths=dict(WIDTHS)))
     found = find_groups(siamese, tuple(crop[:1] for crop in pair))
     assert list(ours) == list(FULL_WIDTHS)
     as_ours = {tuple(b.removesuffix(".conv") for b in g.blocks): g.width for g in found.values()}
@@ -148,7 +149,7 @@ def test_the_dependency_graph_finds_our_thirteen_groups(siamese: SiamFCpp, pair:
 
 
 def test_views_of_template_and_search_and_their_mean(siamese: SiamFCpp, pair: tuple[torch.Tensor, ...]) -> None:
-    groups = siamfcpp_groups(WIDTHS)
+    groups = groups_of(ModelSpec(widths=dict(WIDTHS)))
     table = rank(siamese, [pair], groups)
     with torch.no_grad():
         z = siamese.backbone.conv1(pair[0]).numpy()

@@ -11,8 +11,9 @@ from torch import nn
 from psiamfcpp.errors import UserError
 from psiamfcpp.models import SiamFCpp
 from psiamfcpp.pruning import Plan, prune, refit
-from psiamfcpp.pruning.groups import find_groups, siamfcpp_groups
-from psiamfcpp.pruning.surgery import prune_siamfcpp
+from psiamfcpp.pruning.groups import find_groups
+from psiamfcpp.pruning.models import groups_of, prune_model
+from psiamfcpp.spec import ModelSpec
 
 from .conftest import WIDTHS, randomize
 
@@ -84,9 +85,9 @@ def test_residual_and_grouped_networks_come_nearer_to_what_they_were(residual: n
 
 @pytest.mark.parametrize("frozen", [False, True])
 def test_our_network_comes_nearer_to_what_it_was(siamese: SiamFCpp, pair: Pair, frozen: bool) -> None:
-    groups = siamfcpp_groups(WIDTHS)
+    groups = groups_of(ModelSpec(widths=dict(WIDTHS)))
     plan = Plan({n: list(range(WIDTHS[n] - 1)) for n in ("backbone.conv2", "backbone.conv4", "head.cls2", "head.reg1")})
-    pruned = prune_siamfcpp(siamese, plan)
+    pruned = prune_model(siamese, plan)
     for network in (siamese, pruned):
         # frozen, its blocks fold BatchNorm away
         network.requires_grad_(not frozen)

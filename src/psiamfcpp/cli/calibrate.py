@@ -8,13 +8,8 @@ from typing import Annotated
 
 import tyro
 
-from psiamfcpp import datasets
-from psiamfcpp.cli.output import notes, print_json
-from psiamfcpp.datasets.split import split
-from psiamfcpp.errors import UserError
-from psiamfcpp.evaluation.calibration import cross_rates, fit, gather
+from psiamfcpp.cli.output import print_json, watching
 from psiamfcpp.spec import TrackingConstants
-from psiamfcpp.trackers.siamfcpp import Tracker
 
 
 def calibrate(
@@ -27,7 +22,7 @@ def calibrate(
     half: bool = False,
     json: bool = False,
 ) -> None:
-    """Fit the confidence that parts tracking, unsure and lost, and store it in a copy of the model.
+    """Fit the confidence that separates tracking, unsure and lost, and store it in a copy of the model.
 
     Args:
         model: name of a shipped model, or a model file.
@@ -35,31 +30,24 @@ def calibrate(
         output: checkpoint to write, .safetensors.
         constants: of the tracking procedure, to calibrate with and to store; the authors' where not given.
         search_size: side of the search crop in pixels, to calibrate with and to store; by default the model's own.
-        held_out_every: use only the clips that training with this value kept out; 1 uses all.
+        held_out_every: use only the clips that training with this value held out; 1 uses all.
         half: store the weights in half precision, for sharing.
         json: print one JSON object.
     """
-    import torch
+    from psiamfcpp.recipes import calibrate as recipe
 
-    from psiamfcpp.models import load, save
-
-    clips = split(datasets.read("folder", data), held_out_every)[1]
-    if len(clips) < 2:
-        raise UserError(f"{data} holds {len(clips)} clips kept out by {held_out_every}: at least two are needed")
-    notes.print(f"looking at {len(clips)} clips")
-    tracker = Tracker(model, search_size=search_size, plain=True)
-    tracker.spec = dataclasses.replace(tracker.spec, constants=constants)
-    looks = gather(tracker, clips)
-    calibration, rates = fit(looks), cross_rates(looks)
-    network = load(model)
-    network.spec = dataclasses.replace(
-        network.spec,
-        search_size=tracker.spec.search_size,
-        constants=constants,
-        calibration=calibration,
-        provenance={**network.spec.provenance, "calibration": dataclasses.asdict(rates)},
-    )
-    save(output, network, torch.float16 if half else torch.float32)
+    with watching() as watch:
+        done = recipe.calibrate(
+            model,
+            data,
+            output,
+            constants=constants,
+            search_size=search_size,
+            held_out_every=held_out_every,
+            half=half,
+            watch=watch,
+        )
+    calibration, rates = done.calibration, done.rates
     if json:
         print_json({"calibration": dataclasses.asdict(calibration), "rates": dataclasses.asdict(rates)})
         return

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from psiamfcpp import datasets
-from psiamfcpp.cli.output import notes, progress
+from psiamfcpp.cli.output import watching
 from psiamfcpp.cli.score import print_measured
 from psiamfcpp.evaluation.measured import CONVENTIONS
 from psiamfcpp.recipes.evaluate import evaluate as run_benchmark
@@ -39,15 +39,8 @@ def evaluate(
         options: how our models run.
         json: print one JSON object.
     """
-    with progress() as bar:
-        task = bar.add_task("sequences")
-
-        def advance(done: int, total: int) -> None:
-            bar.update(task, total=total, advance=done)
-
-        measured = run_benchmark(
-            root, dataset, tracker, results, jobs, cluster, allow_missing, options, notes.print, advance
-        )
+    with watching() as watch:
+        measured = run_benchmark(root, dataset, tracker, results, jobs, cluster, allow_missing, options, watch)
     print_measured(dataset, measured, CONVENTIONS, False, json)
     if json:
         return

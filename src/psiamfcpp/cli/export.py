@@ -8,9 +8,7 @@ from typing import Annotated, Any, Literal
 
 import tyro
 
-from psiamfcpp.cli.output import notes, print_json, progress
-from psiamfcpp.datasets import Sequence, read, read_entry
-from psiamfcpp.errors import UserError
+from psiamfcpp.cli.output import print_json, watching
 
 
 def export(
@@ -19,6 +17,7 @@ def export(
     int8: bool = False,
     format: Literal["onnx", "openvino"] = "onnx",
     data: tuple[str, ...] = (),
+    held_out_every: int = 8,
     root: Path | None = None,
     pairs: int = 128,
     layer_loss: float = 0.02,
@@ -32,67 +31,36 @@ def export(
         int8: compute the search graph in 8-bit integers.
         format: onnx, which onnxruntime and OpenVINO read, or OpenVINO's own.
         data: what to calibrate and check on, each LAYOUT:FOLDER as for training; by default rendered clips.
+        held_out_every: hold out one clip in N of the data, the same N as in `psiamfcpp train`; 0 holds out none.
         root: folder of sequences to follow with the network in torch and with the graphs, plainly, and compare.
         pairs: targets to calibrate on; a quarter as many others serve the check.
         layer_loss: with int8, layers stay in float whose 8 bits alone cost more than this of the boxes' overlap.
         json: print one JSON object.
     """
-    from psiamfcpp.export.crops import rendered, sample
-    from psiamfcpp.export.files import write_graphs
-    from psiamfcpp.export.graph import Ranges
-    from psiamfcpp.export.layers import layers
-    from psiamfcpp.export.quantize import losses, measure, without
-    from psiamfcpp.models import load
+    from psiamfcpp.recipes import export as recipe
 
-    if pairs < 1:
-        raise UserError(f"pairs is {pairs}: at least 1 is needed")
-    tracks = [] if root is None else read("folder", root)
-    network = load(model)
-    spec = network.spec
-    used, checks = (pairs if int8 else 0), max(4, pairs // 4)
-    sequences = [sequence for entry in data for sequence in read_entry(entry)]
-    crops = sample(sequences, spec, used + checks) if data else rendered(spec, used + checks)
-    ranges = Ranges()
-    facts: dict[str, Any] = {}
-    if int8:
-        weights = layers(network)
-        with progress() as bar:
-            ranges = measure(spec, weights, crops[:used])
-            each = losses(spec, weights, ranges, crops[:checks])
-            by_layer = dict(bar.track(each, total=len(ranges.inputs), description="layers"))
-        kept_float = [name for name, difference in by_layer.items() if 1 - difference.overlap > layer_loss]
-        ranges = without(ranges, kept_float)
-        facts = {"by_layer": {n: dataclasses.asdict(d) for n, d in by_layer.items()}, "float_layers": kept_float}
-        for name, difference in by_layer.items():
-            stays = ", stays in float" if name in kept_float else ""
-            notes.print(f"{name:18} in 8 bits alone: {_said(difference)}{stays}")
-    difference = write_graphs(network, output, format, ranges, crops[used:])
-    if tracks:
-        facts["followed"] = {
-            "torch": _followed(model, "torch", tracks),
-            "graphs": _followed(str(output), format, tracks),
-        }
+    with watching() as watch:
+        done = recipe.export(
+            model,
+            output,
+            int8=int8,
+            format=format,
+            data=data,
+            held_out_every=held_out_every,
+            root=root,
+            pairs=pairs,
+            layer_loss=layer_loss,
+            watch=watch,
+        )
     if json:
-        print_json({"output": str(output), **dataclasses.asdict(difference), **facts})
+        facts: dict[str, Any] = {"output": str(output), **dataclasses.asdict(done.difference)}
+        if int8:
+            by_layer = {name: dataclasses.asdict(difference) for name, difference in done.by_layer.items()}
+            facts |= {"by_layer": by_layer, "float_layers": done.float_layers}
+        print_json(facts | ({"followed": done.followed} if done.followed else {}))
         return
-    print(f"on {checks} crops, against torch: {_said(difference)}")
-    for way, figures in facts.get("followed", {}).items():
-        print(f"{way:6} precision {figures['precision']:.3f}, AUC {figures['auc']:.3f} on {len(tracks)} sequences")
+    print(f"on {done.crops} crops, against torch: {done.difference}")
+    for way, figures in done.followed.items():
+        figures_said = f"precision {figures['precision']:.3f}, AUC {figures['auc']:.3f}"
+        print(f"{way:6} {figures_said} on {done.sequences} sequences")
     print(f"graphs written to {output}: track with --model {output}")
-
-
-def _followed(model: str, engine: str, sequences: list[Sequence]) -> dict[str, float]:
-    """Precision and AUC of a model's plain procedure over the sequences."""
-    from psiamfcpp.evaluation.ope import mean_over
-    from psiamfcpp.trackers import TrackerOptions
-    from psiamfcpp.trackers.siamfcpp import Tracker
-
-    mean = mean_over(Tracker(model, options=TrackerOptions(engine, plain=True)), sequences)
-    return {name: mean.figures[name] for name in ("precision", "auc")}
-
-
-def _said(difference: Any) -> str:
-    return (
-        f"scores differ by up to {difference.scores:.1e}, boxes by up to {difference.boxes:.1e} pixels, "
-        f"chosen boxes overlap by {difference.overlap:.4f}"
-    )

@@ -18,14 +18,12 @@ def info(model: Annotated[str, tyro.conf.Positional], json: bool = False) -> Non
         json: print one JSON object.
     """
     from psiamfcpp.models import load
-    from psiamfcpp.models.cost import count_parameters, search_macs
+    from psiamfcpp.models.cost import facts as cost
 
-    network = load(model)
-    spec = network.spec
+    spec = load(model).spec
     facts: dict[str, Any] = {
-        "parameters": count_parameters(network),
-        "gmacs": search_macs(spec.widths, spec.search_size) / 1e9,
-        "widths": spec.widths,
+        "architecture": spec.architecture,
+        **cost(spec),
         "search_size": spec.search_size,
         "constants": dataclasses.asdict(spec.constants),
         "calibration": dataclasses.asdict(spec.calibration),

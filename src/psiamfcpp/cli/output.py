@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import sys
+from collections.abc import Iterator
 from typing import Any
 
 from rich.console import Console
@@ -11,6 +13,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from psiamfcpp.errors import UserError
 from psiamfcpp.geometry import Box
+from psiamfcpp.watch import Watch
 
 # Standard output is for results; what is said on the way goes to standard error.
 notes = Console(stderr=True, highlight=False, soft_wrap=True)
@@ -26,6 +29,15 @@ def progress() -> Progress:
     """A progress bar on standard error; nothing where that is no terminal."""
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     return Progress(*columns, console=notes, transient=True, disable=not sys.stderr.isatty())
+
+
+@contextlib.contextmanager
+def watching() -> Iterator[Watch]:
+    """What recipes tell of their progress, on standard error."""
+    with progress() as bar:
+        yield Watch(
+            notes.print, lambda items, description, total=None: bar.track(items, total=total, description=description)
+        )
 
 
 def parse_box(text: str) -> Box:

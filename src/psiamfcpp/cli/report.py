@@ -32,6 +32,6 @@ def report(
     if len(dataset) != len(annotations):
         raise UserError(f"--dataset names {len(dataset)} benchmarks, but --annotations {len(annotations)} folders")
     page, *files = make_report(
-        results, output, dict(zip(dataset, annotations, strict=True)), allow_missing, notes.print
+        results, output, dict(zip(dataset, annotations, strict=True)), allow_missing, Watch(notes.print)
     )
     print(f"{page} and {len(files)} files beside it")

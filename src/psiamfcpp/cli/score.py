@@ -10,6 +10,7 @@ from psiamfcpp.datasets import BENCHMARKS, BenchmarkName
 from psiamfcpp.evaluation.measured import CONVENTIONS, Measured
 from psiamfcpp.evaluation.metrics import Convention
 from psiamfcpp.recipes.score import score as score_results
+from psiamfcpp.watch import Watch
 
 _COUNTS_FOR = {"otb": "count as precision hits and overlap misses", "got10k": "are dropped"}
 
@@ -35,7 +36,7 @@ def score(
         json: print one JSON object.
     """
     conventions = CONVENTIONS if convention == "both" else (convention,)
-    measured = score_results(dataset, annotations, results, conventions, allow_missing, notes.print)
+    measured = score_results(dataset, annotations, results, conventions, allow_missing, Watch(notes.print))
     print_measured(dataset, measured, conventions, per_sequence, json)
 
 

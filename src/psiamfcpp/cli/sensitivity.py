@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import tyro
 
-from psiamfcpp.cli.output import print_json, progress
-from psiamfcpp.errors import UserError
+from psiamfcpp.cli.output import print_json, watching
 from psiamfcpp.training.options import Schedule, TrainOptions
 
 _SHARES = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8)
@@ -27,7 +26,7 @@ def sensitivity(
     jobs: int = 1,
     json: bool = False,
 ) -> None:
-    """What pruning each layer costs in precision, by share kept, and what other criteria make of the paper's widths.
+    """Measure what pruning each layer costs in precision, by share kept, and compare criteria on the paper's widths.
 
     Every network is measured by one-pass evaluation with the plain procedure. The folder keeps a file for each, so that
     the same command goes on where it was stopped, and table.csv, which grows; sensitivity.png comes at the end.
@@ -44,32 +43,18 @@ def sensitivity(
         jobs: processes to share the work, one thread each.
         json: print one JSON object.
     """
-    from psiamfcpp.pruning import report
-    from psiamfcpp.pruning.sensitivity import ROWS, Setup, cells, measure_all
+    from psiamfcpp.recipes import sensitivity as recipe
+    from psiamfcpp.recipes.sensitivity_report import criteria_table, ratio_table
 
-    unknown = next((row for row in rows if row not in ROWS), None)
-    if unknown is not None:
-        raise UserError(f"unknown row {unknown!r}: known are {', '.join(ROWS)}")
-    wrong = next((share for share in shares if not 0 < share <= 1), None)
-    if wrong is not None:
-        raise UserError(f"the share to keep is {wrong:g}: it must lie above 0 and be at most 1")
-    if jobs < 1:
-        raise UserError(f"jobs is {jobs}: it must be at least 1")
-    setup = Setup(model, ranks, root, data, options)
-    wanted = cells(setup, rows or tuple(ROWS), shares)
-    order = {(c.row, c.share, c.criterion, c.tuned): number for number, c in enumerate(wanted)}
-    done: list[dict[str, Any]] = []
-    with progress() as bar:
-        for result in bar.track(measure_all(setup, wanted, output, jobs), total=len(wanted), description="networks"):
-            done.append(result)
-            done.sort(key=lambda r: order[r["row"], r["share"], r["criterion"], r["tuned"]])
-            report.write_csv(done, output / "table.csv")
-    report.draw_sensitivity(done, output / "sensitivity.png")
+    with watching() as watch:
+        done = recipe.sensitivity(
+            model, ranks, root, output, data=data, options=options, rows=rows, shares=shares, jobs=jobs, watch=watch
+        )
     if json:
         print_json({"cells": done})
         return
     print(f"unpruned: precision {done[0]['precision']:.3f}, AUC {done[0]['auc']:.3f}\n")
     for tuned in sorted({r["tuned"] for r in done}):
         print(f"precision, {'fine-tuned' if tuned else 'not fine-tuned'}")
-        print(report.ratio_table(done, tuned) + "\n")
-    print(report.criteria_table(done))
+        print(ratio_table(done, tuned) + "\n")
+    print(criteria_table(done))

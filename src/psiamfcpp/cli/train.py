@@ -11,6 +11,7 @@ from psiamfcpp.cli.output import notes
 from psiamfcpp.datasets.choice import DataChoice
 from psiamfcpp.recipes.train import train as run_training
 from psiamfcpp.training.options import RunOptions, TrainOptions
+from psiamfcpp.watch import Watch
 
 
 def train(
@@ -45,7 +46,7 @@ def train(
             run,
             note,
             on_row=lambda row: notes.print(_line(row, steps)),
-            on_start=notes.print,
+            watch=Watch(notes.print),
         )
     except KeyboardInterrupt:
         notes.print("interrupted; the same command continues from the last saved state")

@@ -11,7 +11,7 @@ import json
 import os
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -27,6 +27,7 @@ from psiamfcpp.evaluation.results import Files, read_times
 from psiamfcpp.files import write_whole
 from psiamfcpp.machine import processor_name
 from psiamfcpp.trackers import Tracker, TrackerChoice
+from psiamfcpp.watch import QUIET, Watch
 
 RUN_FILE = "run.json"
 CONDITIONS = ("threads", "jobs", "processor")
@@ -52,7 +53,7 @@ def run(
     results: Path,
     jobs: int = 1,
     cluster: str | None = None,
-    advance: Callable[[int], None] = lambda count: None,
+    watch: Watch = QUIET,
 ) -> list[str]:
     """Run trackers over sequences, and leave a result file for each pair that can be run.
 
@@ -65,7 +66,7 @@ def run(
         jobs: sequences that are run side by side, in as many processes.
         cluster: instead of processes here, the workers of a Dask scheduler (``tcp://host:port``); they must see the
             same files under the same names.
-        advance: told how many pairs are done, from time to time.
+        watch: receives progress over what is not done yet.
 
     Returns:
         What went wrong, a line a pair that has no result.
@@ -89,12 +90,8 @@ def run(
         before = earlier[choice]
         conditions = _conditions(choice, jobs, before) if new or before is None else {k: before[k] for k in CONDITIONS}
         write_whole(folder / RUN_FILE, _describe(choice, dataset, root, conditions))
-    advance(len(choices) * len(sequences) - len(pending))
-    problems = []
-    for problem in _in_parallel(pending, jobs, cluster) if jobs > 1 or cluster else _one_by_one(pending):
-        problems += [problem] if problem else []
-        advance(1)
-    return problems
+    done = _in_parallel(pending, jobs, cluster) if jobs > 1 or cluster else _one_by_one(pending)
+    return [problem for problem in watch.track(done, "sequences", len(pending)) if problem]
 
 
 def is_done(folder: Path, sequence: Sequence) -> bool:

@@ -4,17 +4,21 @@ from __future__ import annotations
 
 import shutil
 import tempfile
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Literal
+
+from onnx import ModelProto
 
 from psiamfcpp.errors import UserError
 from psiamfcpp.export.crops import Pair
 from psiamfcpp.export.graph import Ranges, search_graph, template_graph
-from psiamfcpp.export.layers import layers
+from psiamfcpp.export.layers import Layer, layers
 from psiamfcpp.export.parity import Difference, compare, look
 from psiamfcpp.models import SiamFCpp
 from psiamfcpp.runtime import open_engine
 from psiamfcpp.runtime.torch_engine import TorchEngine
+from psiamfcpp.spec import ModelSpec
 
 Format = Literal["onnx", "openvino"]
 
@@ -36,19 +40,14 @@ def write_graphs(model: SiamFCpp, folder: Path, form: Format, ranges: Ranges, pa
     Raises:
         UserError: they are too far from it, or the folder cannot be written to; then nothing was.
     """
-    weights = layers(model)
-    graphs = {
-        "template": template_graph(model.spec, weights, Ranges()),
-        "search": search_graph(model.spec, weights, ranges),
-    }
+    graphs = graphs_of(model.spec, layers(model), ranges)
     try:
         folder.parent.mkdir(parents=True, exist_ok=True)
         work = Path(tempfile.mkdtemp(prefix=f"{folder.name}.", suffix=".part", dir=folder.parent))
     except OSError as error:
         raise UserError(f"graphs cannot be written to {folder}: {error}") from None
     try:
-        for name, graph in graphs.items():
-            _write(graph.SerializeToString(), work / name, form)
+        write_files(graphs, work, form)
         expected = look(TorchEngine(model), pairs)
         difference = compare(expected, look(open_engine(str(work), form), pairs))
         difference.check(bool(ranges.inputs))
@@ -60,6 +59,21 @@ def write_graphs(model: SiamFCpp, folder: Path, form: Format, ranges: Ranges, pa
     finally:
         shutil.rmtree(work)
     return difference
+
+
+def graphs_of(spec: ModelSpec, weights: Mapping[str, Layer], ranges: Ranges) -> dict[str, ModelProto]:
+    """Return both graphs of a network by the names of their files; arguments as for `template_graph`."""
+    return {"template": template_graph(spec, weights, Ranges()), "search": search_graph(spec, weights, ranges)}
+
+
+def write_files(graphs: Mapping[str, ModelProto], folder: Path, form: Format) -> None:
+    """Write graphs into a folder that is there, unchecked.
+
+    Raises:
+        UserError: OpenVINO is not installed, and its own form is wanted.
+    """
+    for name, graph in graphs.items():
+        _write(graph.SerializeToString(), folder / name, form)
 
 
 def _write(graph: bytes, path: Path, form: Format) -> None:

@@ -5,16 +5,14 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
+from psiamfcpp.models.arch import Architecture, opened
 from psiamfcpp.models.network import ConvBlock, SiamFCpp
 
 Float32Array = NDArray[np.float32]
-
-_LAST = {"cls": "scores", "reg": "reg_offsets"}
 
 
 @dataclass(frozen=True)
@@ -30,45 +28,43 @@ class Layer:
 
 
 def layers(model: SiamFCpp) -> dict[str, Layer]:
-    """The convolutions of both graphs, by the name that they get there.
+    """Return the convolutions of both graphs, by the name that they get there.
 
-    Layers that read the same input are one: both necks of the search branch (``neck.search``), and class and
-    centre-ness (``head.scores``). Every width in between is a multiple of four, filled up with filters of zeros: a
-    product of bytes reads four at a time, and widths as pruning leaves them cost more than wider ones that are even.
+    Layers that read the same input are one where the table joins them. Every width in between is a multiple of four,
+    filled up with filters of zeros: a product of bytes reads four at a time, and widths as pruning leaves them cost
+    more than wider ones that are even.
     """
-    blocks = {name: block for name, block in model.named_modules() if isinstance(block, ConvBlock)}
-    folded = {name: _fold(block) for name, block in blocks.items()}
-    folded["neck.search"] = _side_by_side(folded.pop("neck.cls_search"), folded.pop("neck.reg_search"))
-    folded["head.scores"] = _side_by_side(folded.pop("head.cls_score"), folded.pop("head.centerness"))
-    offsets = folded["head.reg_offsets"]
-    si, bi = np.float32(model.head.si.item()), np.float32(model.head.bi.item())
-    folded["head.reg_offsets"] = Layer(offsets.weight, offsets.gain * si, offsets.bias * si + bi)
-    return _filled_up(folded)
+    found: dict[str, Layer] = opened(model.spec.arch.exporter).layers(model)
+    return found
 
 
-def readers() -> dict[str, tuple[str, ...]]:
-    """For each layer that others read directly or through a pool: those others."""
-    chains = [[f"backbone.conv{i}" for i in range(1, 6)]]
-    chains += [[f"head.{b}{i}" for i in (1, 2, 3)] + [f"head.{last}"] for b, last in _LAST.items()]
-    found = {name: (after,) for chain in chains for name, after in pairwise(chain)}
-    return found | {"backbone.conv5": ("neck.search", "neck.cls_template", "neck.reg_template")}
+def folded(model: SiamFCpp) -> dict[str, Layer]:
+    """Return the network's blocks as they are named in graphs, BatchNorm folded in, joined layers side by side."""
+    found: dict[str, Layer] = {}
+    for row in model.spec.arch.layers:
+        if row.operation == "convolution":
+            block, name = model.get_submodule(row.name), row.joined or row.name
+            assert isinstance(block, ConvBlock)
+            found[name] = _side_by_side(found[name], _fold(block)) if name in found else _fold(block)
+    return found
 
 
-def divided(some: Mapping[str, Layer], factors: Mapping[str, Float32Array]) -> dict[str, Layer]:
-    """The same function, with the outputs of layers divided by factors ``(C,)``, which their readers multiply by."""
+def divided(some: Mapping[str, Layer], factors: Mapping[str, Float32Array], arch: Architecture) -> dict[str, Layer]:
+    """Return the same function, with layers' outputs divided by factors ``(C,)`` that their readers multiply by."""
     changed = dict(some)
     for name, factor in factors.items():
         own = changed[name]
         changed[name] = dataclasses.replace(own, gain=own.gain / factor, bias=own.bias / factor)
-        for reader in readers()[name]:
+        for reader in arch.readers[name]:
             weight = changed[reader].weight * factor[:, None, None]
             changed[reader] = dataclasses.replace(changed[reader], weight=weight)
     return changed
 
 
-def _filled_up(ragged: Mapping[str, Layer]) -> dict[str, Layer]:
+def filled_up(ragged: Mapping[str, Layer], arch: Architecture) -> dict[str, Layer]:
+    """Return the same function, every width that another layer reads filled up to a multiple of four."""
     even = dict(ragged)
-    for name, after in readers().items():
+    for name, after in arch.readers.items():
         own, extra = even[name], -len(even[name].bias) % 4
         even[name] = Layer(
             np.pad(own.weight, [(0, extra), (0, 0), (0, 0), (0, 0)]),

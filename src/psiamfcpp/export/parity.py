@@ -31,6 +31,13 @@ class Difference:
     overlap: float
     """mean overlap of the boxes that they choose"""
 
+    def __str__(self) -> str:
+        """Return the three figures in words."""
+        return (
+            f"scores differ by up to {self.scores:.1e}, boxes by up to {self.boxes:.1e} pixels, "
+            f"chosen boxes overlap by {self.overlap:.4f}"
+        )
+
     def check(self, int8: bool) -> None:
         """Raise unless the graphs may stand for the network.
 

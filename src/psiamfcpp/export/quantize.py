@@ -7,11 +7,13 @@ from collections.abc import Collection, Iterator, Mapping
 
 import numpy as np
 from onnx import TensorProto, helper
+from onnxruntime import InferenceSession
 
 from psiamfcpp.export.crops import Pair
 from psiamfcpp.export.graph import Ranges, search_graph, template_graph
-from psiamfcpp.export.layers import Float32Array, Layer, readers
+from psiamfcpp.export.layers import Float32Array, Layer
 from psiamfcpp.export.parity import Answer, Difference, compare
+from psiamfcpp.models.arch import PIXELS
 from psiamfcpp.runtime.onnx_engine import open_session
 from psiamfcpp.spec import ModelSpec
 
@@ -30,8 +32,9 @@ def measure(spec: ModelSpec, layers: Mapping[str, Layer], pairs: list[Pair]) -> 
         pairs: crops to look at.
     """
     graph = search_graph(spec, layers, Ranges())
-    inputs = {n.name: n.input[0] for n in graph.graph.node if n.op_type == "Conv" and n.name != "correlation"}
-    tensors = sorted({*inputs.values(), "neck.search", "correlation"})
+    inputs = {n.name: n.input[0] for n in graph.graph.node if n.op_type == "Conv" and n.name in layers}
+    correlated, correlation = _correlation(spec)
+    tensors = sorted({*inputs.values(), correlated, correlation})
     graph.graph.output.extend(helper.make_tensor_value_info(t, TensorProto.FLOAT, None) for t in tensors)
     search = open_session(graph.SerializeToString(), None, spec.search_size)
     template = open_session(template_graph(spec, layers, Ranges()).SerializeToString(), None)
@@ -39,21 +42,35 @@ def measure(spec: ModelSpec, layers: Mapping[str, Layer], pairs: list[Pair]) -> 
     low: dict[str, Float32Array] = {}
     high: dict[str, Float32Array] = {}
     for pair in pairs:
-        cls, reg = template.run(None, {"crop": pair.template[None]})
-        feed = {"crop": pair.search[None], "cls_kernel": cls, "reg_kernel": reg}
+        feed = {"crop": pair.search[None], **_kernels(template, pair)}
         for tensor, values in zip(tensors, search.run(tensors, feed), strict=True):
             low[tensor] = np.minimum(low.get(tensor, np.inf), values.min(axis=(0, 2, 3)))
             high[tensor] = np.maximum(high.get(tensor, -np.inf), values.max(axis=(0, 2, 3)))
     peaks = {tensor: np.maximum(np.abs(low[tensor]), np.abs(high[tensor])) for tensor in tensors}
-    factors = {name: _factors(peaks[inputs[after[0]]], layers, after) for name, after in readers().items()}
-    divisors = {after[0]: factors[name] for name, after in readers().items()}
+    searched = {name: next(reader for reader in after if reader in inputs) for name, after in spec.arch.readers.items()}
+    factors = {
+        name: _factors(peaks[inputs[searched[name]]], layers, after) for name, after in spec.arch.readers.items()
+    }
+    divisors = {reader: factors[name] for name, reader in searched.items()}
     ranges = {}
     for name, tensor in inputs.items():
         divisor = divisors.get(name, np.float32(1))
         ranges[name] = float((low[tensor] / divisor).min()), float((high[tensor] / divisor).max())
     # Pixels are whole numbers already.
-    ranges["backbone.conv1"] = (0.0, 255.0)
-    return Ranges(ranges, peaks["neck.search"], peaks["correlation"], factors)
+    ranges |= {layer.name: (0.0, 255.0) for layer in spec.arch.layers if layer.reads == (PIXELS,)}
+    return Ranges(ranges, peaks[correlated], peaks[correlation], factors)
+
+
+def _kernels(template: InferenceSession, pair: Pair) -> dict[str, Float32Array]:
+    """What the template graph gives for a pair, by name, as the search graph takes it."""
+    names = [output.name for output in template.get_outputs()]
+    return dict(zip(names, template.run(names, {"crop": pair.template[None]}), strict=True))
+
+
+def _correlation(spec: ModelSpec) -> tuple[str, str]:
+    """Names, in the graphs, of the features that are correlated and of the correlation."""
+    row = next(layer for layer in spec.arch.layers if layer.operation == "correlation")
+    return spec.arch.exported(row.reads[0]), spec.arch.exported(row.name)
 
 
 def _factors(peaks: Float32Array, layers: Mapping[str, Layer], after: Collection[str]) -> Float32Array:
@@ -77,9 +94,7 @@ def _factors(peaks: Float32Array, layers: Mapping[str, Layer], after: Collection
 def without(ranges: Ranges, kept_float: Collection[str]) -> Ranges:
     """The ranges less those of layers that stay float."""
     inputs = {name: bounds for name, bounds in ranges.inputs.items() if name not in kept_float}
-    if "neck.search" in inputs:
-        return dataclasses.replace(ranges, inputs=inputs)
-    return dataclasses.replace(ranges, inputs=inputs, features=None, maps=None)
+    return dataclasses.replace(ranges, inputs=inputs)
 
 
 def losses(
@@ -94,14 +109,13 @@ def losses(
         pairs: crops to compare on.
     """
     template = open_session(template_graph(spec, layers, Ranges()).SerializeToString(), None)
-    kernels = [template.run(None, {"crop": pair.template[None]}) for pair in pairs]
+    kernels = [_kernels(template, pair) for pair in pairs]
 
     def answers(some: Ranges) -> list[Answer]:
         search = open_session(search_graph(spec, layers, some).SerializeToString(), None, spec.search_size)
         found = []
-        for pair, (cls, reg) in zip(pairs, kernels, strict=True):
-            feed = {"crop": pair.search[None], "cls_kernel": cls, "reg_kernel": reg}
-            scores, boxes = search.run(("scores", "boxes"), feed)
+        for pair, given in zip(pairs, kernels, strict=True):
+            scores, boxes = search.run(("scores", "boxes"), {"crop": pair.search[None], **given})
             found.append((scores[0], boxes[0]))
         return found
 

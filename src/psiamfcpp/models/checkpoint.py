@@ -11,6 +11,7 @@ from torch import Tensor
 
 from psiamfcpp.errors import UserError
 from psiamfcpp.files import write_whole
+from psiamfcpp.models.arch import opened
 from psiamfcpp.models.network import SiamFCpp
 from psiamfcpp.spec import ModelSpec
 from psiamfcpp.zoo import weights_path
@@ -24,9 +25,15 @@ def load(path_or_name: str | Path) -> SiamFCpp:
     """
     path = weights_path(path_or_name)
     spec, weights = read(path)
-    model = SiamFCpp(spec)
+    model = build(spec)
     fit(model, weights, str(path))
     return model.eval()
+
+
+def build(spec: ModelSpec) -> SiamFCpp:
+    """Return a new network of a spec's architecture and widths, its weights random."""
+    network: SiamFCpp = opened(spec.arch.network)(spec)
+    return network
 
 
 def read(path: Path) -> tuple[ModelSpec, dict[str, Tensor]]:

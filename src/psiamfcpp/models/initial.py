@@ -25,10 +25,10 @@ def init_neck_and_head(model: SiamFCpp, seed: int = 0) -> None:
                 block.conv.weight.normal_(0, math.sqrt(2 / inputs), generator=generator)
                 nn.init.zeros_(block.conv.bias)  # type: ignore[arg-type]
     for block, scale, shift in (
-        (model.head.cls_score, 1.0, -math.log(99)),
+        (model.get_submodule("head.cls_score"), 1.0, -math.log(99)),
         # exp(1.2) * 8 = 27 px: about half the side that the context gives a target.
-        (model.head.reg_offsets, 0.3, 1.2),
+        (model.get_submodule("head.reg_offsets"), 0.3, 1.2),
     ):
-        assert block.bn is not None
+        assert isinstance(block, ConvBlock) and block.bn is not None
         nn.init.constant_(block.bn.weight, scale)
         nn.init.constant_(block.bn.bias, shift)

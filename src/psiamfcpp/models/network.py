@@ -1,4 +1,4 @@
-"""SiamFC++ with AlexNet as plain modules; widths are data, so a pruned network is the same class."""
+"""SiamFC++ as plain modules, made from its table; widths are data, so a pruned network is the same class."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 from torch.nn.utils.fusion import fuse_conv_bn_weights
 
+from psiamfcpp.models.arch import PIXELS, Layer, by_depth, walk
 from psiamfcpp.spec import STRIDE, ModelSpec, first_cell
 
 Kernels = tuple[Tensor, Tensor]
@@ -42,63 +43,60 @@ class ConvBlock(nn.Module):
         return fuse_conv_bn_weights(conv.weight, conv.bias, mean, var, bn.eps, bn.weight, bn.bias)
 
 
-class Backbone(nn.Module):
+class Part(nn.Module):
+    """The layers of one part of the table, each under its own name."""
+
+    def __init__(self, part: str, spec: ModelSpec):
+        super().__init__()
+        self._rows = by_depth(spec.arch.part(part))
+        for row in spec.arch.part(part):
+            inputs, outputs = (spec.arch.width(name, spec.widths) for name in (row.reads[0], row.name))
+            self.add_module(row.child, ConvBlock(inputs, outputs, row.kernel, row.stride, row.bn, row.relu))
+
+    def walk(self, maps: Mapping[str, Tensor]) -> dict[str, Tensor]:
+        """Run all layers; what they read from outside the part is given by name."""
+        return walk(self._rows, maps, self.run)
+
+    def run(self, row: Layer, x: Tensor) -> Tensor:
+        """Return the map that one layer makes of the map that it reads."""
+        out: Tensor = self.get_submodule(row.child)(x)
+        return out
+
+
+class Backbone(Part):
     """AlexNet without padding: 127 pixels give a map of 6x6, 303 pixels one of 28x28."""
 
-    def __init__(self, widths: Mapping[str, int]):
-        super().__init__()
-        w1, w2, w3, w4, w5 = (widths[f"backbone.conv{i}"] for i in range(1, 6))
-        self.conv1 = ConvBlock(3, w1, 11, stride=2)
-        self.conv2 = ConvBlock(w1, w2, 5)
-        self.conv3 = ConvBlock(w2, w3, 3)
-        self.conv4 = ConvBlock(w3, w4, 3)
-        self.conv5 = ConvBlock(w4, w5, 3, relu=False)
-        self.pool = nn.MaxPool2d(3, 2, ceil_mode=True)
+    def __init__(self, spec: ModelSpec):
+        super().__init__("backbone", spec)
+        # One module for all pools, which have the same size.
+        (size,) = {row.pool for row in self._rows if row.pool}
+        self.pool = nn.MaxPool2d(*size, ceil_mode=True)
 
     def forward(self, x: Tensor) -> Tensor:
         """Features of crops ``(B, 3, S, S)``, BGR, 0..255."""
-        x = self.pool(self.conv1(x))
-        x = self.pool(self.conv2(x))
-        return self.conv5(self.conv4(self.conv3(x)))
+        return self.walk({PIXELS: x})[self._rows[-1].name]
+
+    def run(self, row: Layer, x: Tensor) -> Tensor:
+        """Return the map of one layer after its pool, if it has one."""
+        out: Tensor = super().run(row, x)
+        return self.pool(out) if row.pool else out
 
 
-class Neck(nn.Module):
-    """Task-specific layers of both branches, before the correlation."""
-
-    def __init__(self, widths: Mapping[str, int]):
-        super().__init__()
-        inputs = widths["backbone.conv5"]
-        self.cls_template = ConvBlock(inputs, widths["neck.cls"], 3, relu=False)
-        self.cls_search = ConvBlock(inputs, widths["neck.cls"], 3, relu=False)
-        self.reg_template = ConvBlock(inputs, widths["neck.reg"], 3, relu=False)
-        self.reg_search = ConvBlock(inputs, widths["neck.reg"], 3, relu=False)
-
-
-class Head(nn.Module):
+class Head(Part):
     """Classification with centre-ness, and regression of the four distances to the box's sides."""
 
-    def __init__(self, widths: Mapping[str, int]):
-        super().__init__()
-        c0, c1, c2, c3 = (widths[name] for name in ("neck.cls", "head.cls1", "head.cls2", "head.cls3"))
-        r0, r1, r2, r3 = (widths[name] for name in ("neck.reg", "head.reg1", "head.reg2", "head.reg3"))
-        self.cls1, self.cls2 = ConvBlock(c0, c1, 3, bn=False), ConvBlock(c1, c2, 3, bn=False)
-        self.cls3 = ConvBlock(c2, c3, 3)
-        self.reg1, self.reg2 = ConvBlock(r0, r1, 3, bn=False), ConvBlock(r1, r2, 3, bn=False)
-        self.reg3 = ConvBlock(r2, r3, 3)
-        self.cls_score = ConvBlock(c3, 1, 1, relu=False)
-        self.centerness = ConvBlock(c3, 1, 1, relu=False)
-        self.reg_offsets = ConvBlock(r3, 4, 1, relu=False)
+    def __init__(self, spec: ModelSpec):
+        super().__init__("head", spec)
         self.si = nn.Parameter(torch.tensor(1.0))
         self.bi = nn.Parameter(torch.tensor(0.0))
 
     def forward(self, cls: Tensor, reg: Tensor) -> Maps:
         """Logits ``(B, N, N)`` of class and centre-ness, and distances ``(B, N, N, 4)`` in pixels."""
-        cls = self.cls3(self.cls2(self.cls1(cls)))
-        reg = self.reg3(self.reg2(self.reg1(reg)))
-        offsets = self.reg_offsets(reg).float().permute(0, 2, 3, 1)
+        maps = self.walk({"cls": cls, "reg": reg})
+        offsets = maps["head.reg_offsets"].float().permute(0, 2, 3, 1)
         # The clamp only stops bfloat16 or a foreign frame from overflowing: e^6 * 8 px is beyond any crop.
         distances = torch.exp(torch.clamp(self.si * offsets + self.bi, max=6.0)) * STRIDE
-        return self.cls_score(cls).float().squeeze(1), self.centerness(cls).float().squeeze(1), distances
+        return maps["head.cls_score"].float().squeeze(1), maps["head.centerness"].float().squeeze(1), distances
 
 
 class SiamFCpp(nn.Module):
@@ -107,9 +105,9 @@ class SiamFCpp(nn.Module):
     def __init__(self, spec: ModelSpec | None = None):
         super().__init__()
         self.spec = spec or ModelSpec()
-        self.backbone = Backbone(self.spec.widths)
-        self.neck = Neck(self.spec.widths)
-        self.head = Head(self.spec.widths)
+        self.backbone = Backbone(self.spec)
+        self.neck = Part("neck", self.spec)
+        self.head = Head(self.spec)
 
     def template(self, z: Tensor) -> Kernels:
         """Correlation kernels of template crops.
@@ -124,7 +122,7 @@ class SiamFCpp(nn.Module):
 
     def kernels(self, features: Tensor) -> Kernels:
         """`template`, from the backbone's features on."""
-        return self.neck.cls_template(features), self.neck.reg_template(features)
+        return self._neck("cls_template", features), self._neck("reg_template", features)
 
     def search(self, x: Tensor, kernels: Kernels) -> tuple[Tensor, Tensor]:
         """Scores and boxes of search crops.
@@ -147,13 +145,16 @@ class SiamFCpp(nn.Module):
             Class and centre-ness logits ``(B, N, N)``, distances l, t, r, b ``(B, N, N, 4)`` in pixels of the crop.
         """
         cls_kernel, reg_kernel = kernels
-        cls = depthwise_correlation(self.neck.cls_search(features), cls_kernel)
-        reg = depthwise_correlation(self.neck.reg_search(features), reg_kernel)
+        cls = depthwise_correlation(self._neck("cls_search", features), cls_kernel)
+        reg = depthwise_correlation(self._neck("reg_search", features), reg_kernel)
         return self.head(cls, reg)
 
     def forward(self, z: Tensor, x: Tensor) -> tuple[Tensor, Tensor]:
         """Scores and boxes of one pass through both branches: what graph tracers need."""
         return self.search(x, self.template(z))
+
+    def _neck(self, child: str, features: Tensor) -> Tensor:
+        return self.neck.run(self.spec.arch[f"neck.{child}"], features)
 
 
 def depthwise_correlation(features: Tensor, kernels: Tensor) -> Tensor:

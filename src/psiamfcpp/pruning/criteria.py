@@ -1,63 +1,158 @@
-"""Other measures of a filter's worth, to compare rank with; torch-pruning computes them."""
+"""Criteria: what each filter of a group is worth. A criterion is any function ``f(group, context) -> scores (n,)``."""
 
 from __future__ import annotations
 
+import functools
+import importlib
+import sys
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
-from torch import nn
+from torch import Tensor, nn
 
 from psiamfcpp.errors import UserError
 from psiamfcpp.geometry import FloatArray
 from psiamfcpp.pruning.groups import Group, convolution_of, dependency_graph
-from psiamfcpp.pruning.planning import Plan
+from psiamfcpp.pruning.ranking import weight_norm
+from psiamfcpp.pruning.table import GroupRanks, RankTable
 
-CRITERIA = ("norm", "median", "taylor", "random")
+
+@dataclass(frozen=True)
+class Context:
+    """What a criterion may look at."""
+
+    model: nn.Module
+    """the network"""
+    example_inputs: Any
+    """what its forward takes: a tensor, or a tuple of arguments"""
+    ranks: RankTable | None = None
+    """the network's rank table, if it was ranked"""
+    gradients: Mapping[str, Tensor] | None = None
+    """gradient of a loss for each parameter by name, if a loss was run backward; see `gradients_of`"""
+    generator: torch.Generator = field(default_factory=lambda: torch.Generator().manual_seed(0))
+    """of criteria that draw"""
+
+    @functools.cached_property
+    def dependencies(self) -> Any:
+        """torch-pruning's dependency graph of the network."""
+        return dependency_graph(self.model, self.example_inputs)
 
 
-def scores(
-    model: nn.Module, example_inputs: Any, groups: Mapping[str, Group], criterion: str, seed: int = 0
-) -> dict[str, FloatArray]:
-    """Worth ``(n,)`` of each group's filters over all layers that they belong to or feed.
+Criterion = Callable[[Group, Context], FloatArray]
 
-    Args:
-        model: the network; for ``taylor`` with gradients of the loss in all its weights.
-        example_inputs: what its forward takes.
-        groups: the groups to score.
-        criterion: ``norm`` (L2 norm of the weights), ``median`` (distance from the geometric median, He et al. 2019),
-            ``taylor`` (weights times gradients, Molchanov et al. 2019) or ``random``.
-        seed: of ``random``.
+
+def rank(group: Group, context: Context) -> FloatArray:
+    """Return the average rank ``(n,)`` of each filter's map (paper, section 3.2)."""
+    if context.ranks is None or group.name not in context.ranks.groups:
+        raise UserError(f"the criterion rank needs the rank table of {group.name}: make one with `psiamfcpp rank`")
+    return context.ranks.groups[group.name].rank
+
+
+def norm(group: Group, context: Context) -> FloatArray:
+    """Return the L2 norm ``(n,)`` of the weights of each filter and of what reads it."""
+    return _importance("GroupMagnitudeImportance", group, context)
+
+
+def median(group: Group, context: Context) -> FloatArray:
+    """Return the distance ``(n,)`` of each filter from the geometric median (He et al. 2019, FPGM)."""
+    return _importance("FPGMImportance", group, context)
+
+
+def taylor(group: Group, context: Context) -> FloatArray:
+    """Return weights times gradients ``(n,)`` of each filter and of what reads it (Molchanov et al. 2019)."""
+    if context.gradients is None:
+        raise UserError("the criterion taylor needs gradients: run a loss backward through the network first")
+    parameters = dict(context.model.named_parameters())
+    before = {name: parameter.grad for name, parameter in parameters.items()}
+    try:
+        for name, parameter in parameters.items():
+            parameter.grad = context.gradients.get(name)
+        return _importance("GroupTaylorImportance", group, context)
+    finally:
+        for name, parameter in parameters.items():
+            parameter.grad = before[name]
+
+
+def random(group: Group, context: Context) -> FloatArray:
+    """Return numbers ``(n,)`` from 0 to 1, drawn anew at each call: the criterion that others must beat."""
+    return torch.rand(group.width, generator=context.generator).double().numpy()
+
+
+CRITERIA: dict[str, Criterion] = {f.__name__: f for f in (rank, norm, median, taylor, random)}
+# Those that look at gradients, and so need a loss and data.
+WITH_LOSS = frozenset({"taylor"})
+
+
+def find_criterion(name: str) -> Criterion:
+    """Return the criterion of a name of `CRITERIA`, or ``MODULE:FUNCTION`` of the user's own.
 
     Raises:
-        UserError: an unknown criterion, or ``taylor`` without gradients.
+        UserError: there is no such criterion, or the function cannot be imported.
     """
+    if name in CRITERIA:
+        return CRITERIA[name]
+    module, colon, function = name.rpartition(":")
+    if not colon:
+        raise UserError(f"unknown criterion {name!r}: known are {', '.join(CRITERIA)}, and MODULE:FUNCTION")
+    # Where the command was started, as `python -m` has it.
+    if str(Path.cwd()) not in sys.path:
+        sys.path.insert(0, str(Path.cwd()))
+    try:
+        found: Criterion = getattr(importlib.import_module(module), function)
+    except Exception as error:  # a foreign module can fail in any way
+        raise UserError(
+            f"criterion {name!r} cannot be imported ({type(error).__name__}: {error}): MODULE:FUNCTION is needed"
+        ) from error
+    return found
+
+
+def gradients_of(model: nn.Module) -> dict[str, Tensor] | None:
+    """Return the gradients that a network's parameters hold, by name; None where one of its weights has none."""
+    found = {name: parameter.grad for name, parameter in model.named_parameters() if parameter.grad is not None}
+    return None if any(p.ndim > 1 and n not in found for n, p in model.named_parameters()) else found
+
+
+def scores(groups: Mapping[str, Group], context: Context, criterion: Criterion) -> dict[str, FloatArray]:
+    """Return what a criterion gives for each group, by name.
+
+    Raises:
+        UserError: not one finite number from 0 up for each filter; or as of the criterion.
+    """
+    found = {}
+    for name, group in groups.items():
+        given = np.asarray(criterion(group, context), dtype=np.float64)
+        if given.shape != (group.width,) or not np.isfinite(given).all() or (given < 0).any():
+            raise UserError(
+                f"the criterion gave {name} scores of shape {given.shape}: {group.width} finite numbers from 0 up are "
+                "expected, the highest for the filters to keep"
+            )
+        found[name] = given
+    return found
+
+
+def score_table(groups: Mapping[str, Group], context: Context, criterion: Criterion) -> RankTable:
+    """Return a criterion's scores as a table, which `psiamfcpp.pruning.plan` takes like one of ranks.
+
+    Raises:
+        UserError: as of `scores`.
+    """
+    worth = scores(groups, context, criterion)
+    rows = {n: GroupRanks(worth[n], None, weight_norm(context.model, g), g.parts) for n, g in groups.items()}
+    return RankTable(0 if context.ranks is None else context.ranks.images, rows)
+
+
+def _importance(name: str, group: Group, context: Context) -> FloatArray:
+    """What one of torch-pruning's measures gives for a group."""
     import torch_pruning
     from torch_pruning.pruner import importance
 
-    measures: dict[str, Callable[[], Any]] = {
-        "norm": importance.GroupMagnitudeImportance,
-        "median": importance.FPGMImportance,
-        "taylor": importance.GroupTaylorImportance,
-        "random": importance.RandomImportance,
-    }
-    if criterion not in measures:
-        raise UserError(f"unknown criterion {criterion!r}: known are rank, {', '.join(measures)}")
-    if criterion == "taylor" and any(convolution_of(model, g.blocks[0]).weight.grad is None for g in groups.values()):
-        raise UserError("the criterion taylor needs gradients: run a loss backward through the network first")
-    graph, measure = dependency_graph(model, example_inputs), measures[criterion]()
-    result = {}
-    with torch.random.fork_rng(devices=[]):
-        torch.manual_seed(seed)
-        for name, group in groups.items():
-            root = convolution_of(model, group.blocks[0])
-            every = list(range(group.width))
-            tied = graph.get_pruning_group(root, torch_pruning.prune_conv_out_channels, idxs=every)
-            result[name] = measure(tied).double().cpu().numpy()
-    return result
-
-
-def keep_best(worth: Mapping[str, FloatArray], counts: Mapping[str, int]) -> Plan:
-    """The plan that keeps the filters of the greatest worth, so many of each group."""
-    return Plan({n: [int(f) for f in np.argsort(-w, kind="stable")[: counts[n]]] for n, w in worth.items()})
+    root = convolution_of(context.model, group.blocks[0])
+    tied = context.dependencies.get_pruning_group(
+        root, torch_pruning.prune_conv_out_channels, idxs=list(range(group.width))
+    )
+    values: FloatArray = getattr(importance, name)()(tied).double().cpu().numpy()
+    return values

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterable
+from dataclasses import dataclass, field
 from typing import Any
 
 import torch
 from torch import nn
 
 from psiamfcpp.errors import UserError
-from psiamfcpp.spec import FULL_WIDTHS
 
 
 @dataclass(frozen=True)
@@ -22,25 +21,29 @@ class Group:
     width: int
     """number of filters"""
     parts: int = 1
-    """grouped convolutions part the channels in so many blocks, which must keep the same positions"""
+    """number of blocks into which grouped convolutions divide the channels; each must keep the same positions"""
     views: tuple[str, ...] = ()
     """names of the group's maps in the order in which a forward pass makes them, where they have names"""
+    name: str = ""
+    """name in plans and tables; by default that of the first block"""
+    readers: tuple[str, ...] = field(default=(), compare=False)
+    """names of the layers that lose inputs with the group's filters, where they are known"""
 
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "name", self.name or self.blocks[0])
 
-def siamfcpp_groups(widths: Mapping[str, int]) -> dict[str, Group]:
-    """The 13 groups of our network: the correlation ties the template and the search layer of a neck.
-
-    Args:
-        widths: filters of each group, as in a model's spec.
-    """
-    groups = {}
-    for name in FULL_WIDTHS:
-        both = ("template", "search")
-        if name.startswith("neck."):
-            groups[name] = Group(tuple(f"{name}_{view}" for view in both), widths[name], views=both)
-        else:
-            groups[name] = Group((name,), widths[name], views=both if name.startswith("backbone.") else ("search",))
-    return groups
+    def __str__(self) -> str:
+        """Return one line: name, filters, what is tied, what reads them."""
+        parts = [f"{self.name}: {self.width} filters"]
+        if len(self.blocks) > 1:
+            parts.append("tied in " + ", ".join(self.blocks))
+        elif self.blocks[0] != self.name:
+            parts.append(f"of {self.blocks[0]}")
+        if self.parts > 1:
+            parts.append(f"the same positions in each of {self.parts} parts")
+        if self.readers:
+            parts.append("read by " + ", ".join(self.readers))
+        return "; ".join(parts)
 
 
 def find_groups(model: nn.Module, example_inputs: Any) -> dict[str, Group]:
@@ -70,20 +73,28 @@ def find_groups(model: nn.Module, example_inputs: Any) -> dict[str, Group]:
         first = model.get_submodule(convolutions[0])
         assert isinstance(first, nn.Conv2d)
         parts = max(_parts(dependency.target.module) for dependency, _ in tied)
-        groups[convolutions[0]] = Group(tuple(convolutions), first.out_channels, parts)
+        reading = {
+            names[d.target.module]
+            for d, _ in tied
+            if graph.is_in_channel_pruning_fn(d.handler) and d.target.module in names and d.target.module not in made
+        }
+        readers = tuple(sorted(reading, key=order.__getitem__))
+        groups[convolutions[0]] = Group(tuple(convolutions), first.out_channels, parts, readers=readers)
     return dict(sorted(groups.items(), key=lambda item: order[item[0]]))
 
 
 def dependency_graph(model: nn.Module, example_inputs: Any) -> Any:
-    """torch-pruning's dependency graph of a network, traced in evaluation mode with gradients on.
+    """Return torch-pruning's dependency graph of a network, traced in evaluation mode with gradients on.
 
     Raises:
-        UserError: the network cannot be traced.
+        UserError: the network cannot be traced, as always in `torch.inference_mode`.
     """
     import warnings
 
     import torch_pruning
 
+    if torch.is_inference_mode_enabled():
+        raise UserError("a network is traced by its gradients, which torch.inference_mode() forbids: leave that mode")
     wanted = {name: parameter.requires_grad for name, parameter in model.named_parameters()}
     modes = {module: module.training for module in model.modules()}
     try:
@@ -130,7 +141,7 @@ def _marked(outputs: Any) -> list[torch.Tensor]:
 
 
 def _parts(module: nn.Module) -> int:
-    """In how many blocks a module parts its channels; a depthwise convolution has one channel a block, and is free."""
+    """Number of blocks into which a module divides its channels; 1 for a depthwise convolution, which ties none."""
     if isinstance(module, nn.Conv2d):
         return 1 if module.groups == module.out_channels else module.groups
     return module.num_groups if isinstance(module, nn.GroupNorm) else 1

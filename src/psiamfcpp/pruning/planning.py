@@ -15,23 +15,6 @@ from psiamfcpp.pruning.table import GroupRanks, RankTable, read_json, write_json
 
 FORMAT = "psiamfcpp-plan/1"
 
-# The paper's "pruning ratios" (section 4.1) are shares KEPT: only so do they give its 7.49 M parameters.
-PAPER_KEEP: dict[str, float] = {
-    "backbone.conv1": 0.792,
-    "backbone.conv2": 0.875,
-    "backbone.conv3": 0.878,
-    "backbone.conv4": 0.870,
-    "backbone.conv5": 1.0,
-    "neck.cls": 1.0,
-    "neck.reg": 1.0,
-    "head.cls1": 0.898,
-    "head.cls2": 0.539,
-    "head.cls3": 0.875,
-    "head.reg1": 0.887,
-    "head.reg2": 0.566,
-    "head.reg3": 0.875,
-}
-
 
 @dataclass(frozen=True)
 class Plan:

@@ -11,9 +11,9 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from psiamfcpp.errors import UserError
-from psiamfcpp.pruning.groups import Group
+from psiamfcpp.pruning.groups import Group, find_groups
 from psiamfcpp.pruning.planning import Plan
-from psiamfcpp.pruning.surgery import prune
+from psiamfcpp.pruning.surgery import cut
 
 Network = TypeVar("Network", bound=nn.Module)
 
@@ -79,7 +79,9 @@ def _kept_filters(
     marked = copy.deepcopy(original)
     for _, layer in _layers(marked):
         layer.weight.transpose(0, -1).copy_(torch.arange(len(layer.weight)))
-    return {name: layer.weight.flatten(1)[:, 0].long() for name, layer in _layers(prune(marked, example, plan, groups))}
+    # Without the check of `prune`: numbers instead of weights overflow.
+    pruned, _ = cut(marked, example, plan, find_groups(marked, example) if groups is None else groups)
+    return {name: layer.weight.flatten(1)[:, 0].long() for name, layer in _layers(pruned)}
 
 
 def _calls(model: nn.Module, example: Any) -> dict[str, int]:

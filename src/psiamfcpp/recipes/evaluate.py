@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 from psiamfcpp.datasets import BENCHMARKS, BenchmarkName
@@ -13,6 +13,7 @@ from psiamfcpp.evaluation.measured import CONVENTIONS, Measured
 from psiamfcpp.evaluation.running import result_files, run
 from psiamfcpp.recipes.score import measure_all
 from psiamfcpp.trackers import TrackerOptions, choose
+from psiamfcpp.watch import QUIET, Watch
 from psiamfcpp.zoo import DEFAULT_MODEL
 
 _DEFAULT = TrackerOptions()
@@ -27,8 +28,7 @@ def evaluate(
     cluster: str | None = None,
     allow_missing: bool = False,
     options: TrackerOptions = _DEFAULT,
-    note: Callable[[str], None] = lambda line: None,
-    advance: Callable[[int, int], None] = lambda done, total: None,
+    watch: Watch = QUIET,
 ) -> list[Measured]:
     """Run trackers over a benchmark, or a folder of sequences, and score them (one-pass evaluation).
 
@@ -41,8 +41,7 @@ def evaluate(
         cluster: address of a Dask scheduler (tcp://HOST:PORT) whose workers run the sequences instead.
         allow_missing: score a tracker on the sequences that could be run.
         options: how our models run.
-        note: receives one line about each sequence that could not be run.
-        advance: receives the number of sequences that were completed since the last call, and the total.
+        watch: receives progress, and one line about each sequence that could not be run.
 
     Returns:
         One entry per tracker, in both conventions.
@@ -57,20 +56,19 @@ def evaluate(
         raise UserError("--tracker names none: give a model, or another as opencv:mil")
     choices = [choose(entry, options) for entry in trackers]
     sequences = BENCHMARKS[dataset].read(root.resolve())
-    total = len(choices) * len(sequences)
     with contextlib.ExitStack() as stack:
         place = results or Path(stack.enter_context(tempfile.TemporaryDirectory()))
-        problems = run(choices, dataset, root, sequences, place, jobs, cluster, lambda count: advance(count, total))
-        _check(problems, allow_missing, results, note)
+        problems = run(choices, dataset, root, sequences, place, jobs, cluster, watch)
+        _check(problems, allow_missing, results, watch)
         labels = {sequence.name: sequence.boxes for sequence in sequences}
         files = {choice.name: result_files(place / dataset / choice.name, sequences) for choice in choices}
-        return measure_all(dataset, labels, files, CONVENTIONS, allow_missing, note)
+        return measure_all(dataset, labels, files, CONVENTIONS, allow_missing, watch)
 
 
-def _check(problems: list[str], allow_missing: bool, results: Path | None, note: Callable[[str], None]) -> None:
+def _check(problems: list[str], allow_missing: bool, results: Path | None, watch: Watch) -> None:
     """Pass on what could not be run; without leave for that, raise the first of it."""
     for problem in problems if allow_missing else problems[1:]:
-        note(problem)
+        watch.note(problem)
     if problems and not allow_missing:
         kept = f"; what could be run is kept in {results}" if results else ""
         more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""

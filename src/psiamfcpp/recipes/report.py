@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from psiamfcpp.errors import UserError
 from psiamfcpp.report.compare import collect
 from psiamfcpp.report.writing import write_report
+from psiamfcpp.watch import QUIET, Watch
 
 
 def report(
@@ -15,7 +16,7 @@ def report(
     output: Path,
     annotations: Mapping[str, Path] | None = None,
     allow_missing: bool = False,
-    note: Callable[[str], None] = lambda line: None,
+    watch: Watch = QUIET,
 ) -> list[Path]:
     """Write a page with figures, plots and frames of trackers, and its tables and plots as files.
 
@@ -24,7 +25,7 @@ def report(
         output: folder to write report.html and the files beside it to.
         annotations: labels by benchmark, for boxes of others; what `evaluate` wrote names its own.
         allow_missing: score a tracker on the sequences that it has.
-        note: receives one line about each tracker that lacks sequences.
+        watch: receives one line about each tracker that lacks sequences.
 
     Returns:
         The files, the page first.
@@ -42,5 +43,5 @@ def report(
         for entry in c.measured:
             if entry.missing:
                 count = f"{entry.missing} of {len(c.sequences)}"
-                note(f"{entry.tracker}: {count} sequences of {c.dataset} are missing and do not count")
+                watch.note(f"{entry.tracker}: {count} sequences of {c.dataset} are missing and do not count")
     return write_report(comparisons, output)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 from psiamfcpp.datasets import BENCHMARKS, BenchmarkName
@@ -11,6 +11,7 @@ from psiamfcpp.evaluation.measured import CONVENTIONS, Measured, measure
 from psiamfcpp.evaluation.metrics import Convention
 from psiamfcpp.evaluation.results import Files, find_all
 from psiamfcpp.geometry import FloatArray
+from psiamfcpp.watch import QUIET, Watch
 
 
 def score(
@@ -19,7 +20,7 @@ def score(
     results: Sequence[Path],
     conventions: Sequence[Convention] = CONVENTIONS,
     allow_missing: bool = False,
-    note: Callable[[str], None] = lambda line: None,
+    watch: Watch = QUIET,
 ) -> list[Measured]:
     """Score every tracker in folders of results.
 
@@ -29,7 +30,7 @@ def score(
         results: folders of one tracker each, or folders with one folder per tracker.
         conventions: what rows without a valid label count for.
         allow_missing: score a tracker on the sequences that it has.
-        note: receives one line about each tracker that is left out or lacks sequences.
+        watch: receives one line about each tracker that is left out or lacks sequences.
 
     Returns:
         One entry per tracker that has results.
@@ -42,7 +43,7 @@ def score(
     benchmark = BENCHMARKS[dataset]
     labels = benchmark.read_labels(annotations)
     trackers = find_all(list(results), (dataset, *benchmark.folders[:1]), labels)
-    return measure_all(dataset, labels, trackers, conventions, allow_missing, note)
+    return measure_all(dataset, labels, trackers, conventions, allow_missing, watch)
 
 
 def measure_all(
@@ -51,16 +52,16 @@ def measure_all(
     trackers: dict[str, Files],
     conventions: Sequence[Convention],
     allow_missing: bool,
-    note: Callable[[str], None],
+    watch: Watch,
 ) -> list[Measured]:
     """Score result files of several trackers; arguments and errors as of `score`."""
     found = []
     for name, files in trackers.items():
         if not files:
-            note(f"{name}: a folder without results of {dataset}, left out")
+            watch.note(f"{name}: a folder without results of {dataset}, left out")
             continue
         entry = measure(name, dataset, files, labels, conventions, allow_missing)
         if entry.missing:
-            note(f"{name}: {entry.missing} of {len(labels)} sequences are missing and do not count")
+            watch.note(f"{name}: {entry.missing} of {len(labels)} sequences are missing and do not count")
         found.append(entry)
     return found

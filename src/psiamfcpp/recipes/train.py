@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from psiamfcpp import __version__
 from psiamfcpp.datasets.choice import DataChoice
 from psiamfcpp.training.options import RunOptions, TrainOptions
+from psiamfcpp.watch import QUIET, Watch
 
 if TYPE_CHECKING:
     from psiamfcpp.models import SiamFCpp
@@ -26,7 +27,7 @@ def train(
     run: RunOptions = _RUN,
     note: str = "",
     on_row: Callable[[dict[str, Any]], None] = lambda row: None,
-    on_start: Callable[[str], None] = lambda line: None,
+    watch: Watch = QUIET,
 ) -> Path:
     """Train a network, or continue the run found in the output folder.
 
@@ -38,7 +39,7 @@ def train(
         run: how it is carried out.
         note: a line on the data for the model's provenance.
         on_row: receives each row of the log as it is written.
-        on_start: receives one line on the data before the first step.
+        watch: receives one line on the data before the first step.
 
     Returns:
         The trained checkpoint: the running mean of the weights.
@@ -62,7 +63,7 @@ def train(
     )
     first = os.environ.get("RANK", "0") == "0"
     if first:
-        on_start(f"{len(training)} targets to train on, {len(held_out)} clips held out")
+        watch.note(f"{len(training)} targets to train on, {len(held_out)} clips held out")
     try:
         for row in run_training(model, training, held_out, output, options, run):
             on_row(row)

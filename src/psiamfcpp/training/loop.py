@@ -8,6 +8,7 @@ import ctypes
 import dataclasses
 import io
 import json
+import math
 import os
 import re
 import time
@@ -195,14 +196,10 @@ def _join_processes() -> tuple[int, int]:
 def _optimizer(model: SiamFCpp, options: TrainOptions) -> torch.optim.Optimizer:
     """Weights decay, biases and BatchNorm do not; the backbone's rate is a share of the others'."""
     groups: dict[tuple[float, float], list[nn.Parameter]] = {}
+    backbone = {id(parameter) for parameter in model.backbone.parameters()}
     for name, parameter in model.named_parameters():
-        factor = options.schedule.backbone_lr if name.startswith("backbone.") else 1.0
-        if name == "backbone.conv1.conv.weight":
-            # It multiplies grey levels of 0..255, so its weights, and the steps that suit them, are smaller.
-            factor /= 57
-        if re.fullmatch(r"head\.(si|bi|(cls_score|centerness|reg_offsets)\.bn\..*)", name):
-            # These few numbers alone set the scale of scores and boxes; at the others' rate that takes too many steps.
-            factor *= 10
+        factor = options.schedule.backbone_lr if id(parameter) in backbone else 1.0
+        factor *= math.prod(rate for pattern, rate in model.spec.arch.rates if re.fullmatch(pattern, name))
         groups.setdefault((factor, options.weight_decay if parameter.ndim == 4 else 0.0), []).append(parameter)
     listed = [{"params": p, "factor": factor, "weight_decay": decay} for (factor, decay), p in groups.items()]
     if options.optimizer == "sgd":

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from psiamfcpp.errors import UserError
+from psiamfcpp.models.arch import ARCHITECTURES, DEFAULT, architecture
 from psiamfcpp.spec import score_size
 
 
@@ -52,13 +53,11 @@ class Schedule:
     """share of the highest rate that is left at the end of the cosine"""
     backbone_lr: float = 0.1
     """rate of the backbone against that of neck and head"""
-    unfreeze: dict[str, float] = field(
-        default_factory=lambda: {"conv5": 0.25, "conv4": 0.5, "conv3": 0.75, "conv2": 1.0, "conv1": 1.0}
-    )
+    unfreeze: dict[str, float] = field(default_factory=lambda: dict(architecture(DEFAULT).unfreeze))
     """share of the run after which a backbone layer is trained; 1 is never (the authors': 5, 10, 15 of 20 epochs)"""
 
     def __post_init__(self) -> None:
-        layers = [f"conv{i}" for i in range(1, 6)]
+        layers = sorted({layer for name in ARCHITECTURES for layer in architecture(name).unfreeze})
         for layer, share in self.unfreeze.items():
             if layer not in layers or not 0 <= share <= 1:
                 raise UserError(f"unfreeze {layer}={share:g}: layers are {', '.join(layers)}, shares lie in 0..1")

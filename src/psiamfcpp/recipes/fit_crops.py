@@ -13,7 +13,7 @@ from psiamfcpp.training.pairs import PairSampler
 
 
 def plain_pairs(sequences: list[Sequence], search_size: int, seed: int) -> PairSampler:
-    """Pairs of a template crop and a search crop of so many pixels, by number.
+    """Return pairs of a template crop and a search crop of ``search_size`` pixels, by number.
 
     Raises:
         UserError: there is nothing to draw from.
@@ -22,7 +22,7 @@ def plain_pairs(sequences: list[Sequence], search_size: int, seed: int) -> PairS
 
 
 def batches(pairs: PairSampler, start: int, end: int, batch: int) -> Iterator[tuple[Tensor, Tensor]]:
-    """Pairs ``start`` to ``end`` as what the network's forward takes: templates and search crops, so many at a time."""
+    """Yield pairs ``start`` to ``end`` as the network's forward takes them: templates and search crops, by batch."""
     for first in range(start, end, batch):
         some = collate([pairs.pair(i) for i in range(first, min(first + batch, end))])
         yield some.template_input(), some.search_input()

@@ -12,7 +12,7 @@ import pytest
 from numpy.testing import assert_array_equal
 
 from psiamfcpp import Tracker, UserError, datasets
-from psiamfcpp.evaluation.calibration import LOST_BELOW, UNSURE_BELOW, Looks, confidences, cross_rates, fit, gather
+from psiamfcpp.recipes.calibration import LOST_BELOW, UNSURE_BELOW, Looks, confidences, cross_rates, fit, gather
 from psiamfcpp.spec import Calibration
 
 

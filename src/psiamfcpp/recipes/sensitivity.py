@@ -1,7 +1,4 @@
-"""What pruning costs: the paper's table of ratios (section 4.5), and criteria compared on one plan.
-
-The only part of pruning that trains and tracks.
-"""
+"""What pruning costs: the paper's table of ratios (section 4.5), and criteria compared on one plan."""
 
 from __future__ import annotations
 
@@ -9,7 +6,7 @@ import dataclasses
 import hashlib
 import json
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -17,31 +14,85 @@ from typing import Any
 import torch
 
 from psiamfcpp import datasets
+from psiamfcpp.datasets.choice import DataChoice
 from psiamfcpp.errors import UserError
 from psiamfcpp.evaluation.ope import mean_over
 from psiamfcpp.models import SiamFCpp, load, save
+from psiamfcpp.models.checkpoint import read
 from psiamfcpp.models.cost import count_parameters, search_macs
-from psiamfcpp.pruning.criteria import CRITERIA, keep_best, scores
-from psiamfcpp.pruning.groups import siamfcpp_groups
-from psiamfcpp.pruning.planning import PAPER_KEEP, Plan, choose, kept_count, plan
-from psiamfcpp.pruning.surgery import prune_siamfcpp
-from psiamfcpp.pruning.table import RankTable, read_json, write_json
-from psiamfcpp.spec import FULL_WIDTHS, TEMPLATE_SIZE
+from psiamfcpp.pruning.criteria import CRITERIA, WITH_LOSS, Context, find_criterion, score_table
+from psiamfcpp.pruning.models import example_inputs, groups_of, prune_model
+from psiamfcpp.pruning.planning import choose, kept_count, plan
+from psiamfcpp.pruning.table import read_json, write_json
+from psiamfcpp.recipes.scoring import loss_gradients, read_ranks
+from psiamfcpp.recipes.sensitivity_report import draw_sensitivity, write_csv
 from psiamfcpp.trackers import TrackerOptions
 from psiamfcpp.trackers.siamfcpp import Tracker
-from psiamfcpp.training.loop import MODEL_FILE, PairLoss, train
-from psiamfcpp.training.options import RunOptions, TrainOptions
-from psiamfcpp.training.validation import held_out_batches
+from psiamfcpp.training.loop import MODEL_FILE, train
+from psiamfcpp.training.options import RunOptions, Schedule, TrainOptions
+from psiamfcpp.watch import QUIET, Watch
 from psiamfcpp.zoo import weights_path
 
-# The paper's nine rows: one layer alone, a head layer of both branches, and every layer at once.
-ROWS: dict[str, tuple[str, ...]] = {
-    **{f"backbone.conv{i}": (f"backbone.conv{i}",) for i in range(1, 6)},
-    **{f"head.{i}": (f"head.cls{i}", f"head.reg{i}") for i in range(1, 4)},
-    "everything": tuple(FULL_WIDTHS),
-}
+SHARES = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8)
+SHORT = TrainOptions(schedule=Schedule(steps=200, lr=3e-4), batch=16, ema=0.99)
 _CELL_FORMAT, _SETUP_FORMAT = "psiamfcpp-cell/1", "psiamfcpp-sensitivity/1"
-_TAYLOR_BATCHES = 8
+
+
+def sensitivity(
+    model: str | Path,
+    ranks: Path,
+    root: Path,
+    output: Path,
+    *,
+    data: Sequence[str] = (),
+    options: TrainOptions = SHORT,
+    rows: Sequence[str] = (),
+    shares: Sequence[float] = SHARES,
+    jobs: int = 1,
+    watch: Watch = QUIET,
+) -> list[dict[str, Any]]:
+    """Measure what pruning each layer costs, and what each criterion makes of the paper's widths.
+
+    Every network is measured by one-pass evaluation with the plain procedure. The folder keeps a file for each, so
+    that the same call goes on where it was stopped, table.csv, which grows, and at the end sensitivity.png.
+
+    Args:
+        model: name of a shipped model, or a model file.
+        ranks: its rank table.
+        root: folder of sequences to measure on.
+        output: folder of the results.
+        data: training sets, each LAYOUT:FOLDER; with them every network is measured after fine-tuning as well.
+        options: of the fine-tuning.
+        rows: layers to prune alone; by default the rows of the architecture, for SiamFC++ the paper's nine.
+        shares: shares of their filters to KEEP.
+        jobs: processes to share the work, one thread each.
+        watch: is told of the progress.
+
+    Returns:
+        The result of each network, see `measure_all`, in the order of the tables.
+
+    Raises:
+        UserError: an unknown row, a value out of range, a file that cannot be read, or a folder of another setup.
+    """
+    known = read(weights_path(model))[0].arch.ablation
+    unknown = next((row for row in rows if row not in known), None)
+    if unknown is not None:
+        raise UserError(f"unknown row {unknown!r}: known are {', '.join(known)}")
+    wrong = next((share for share in shares if not 0 < share <= 1), None)
+    if wrong is not None:
+        raise UserError(f"the share to keep is {wrong:g}: it must lie above 0 and be at most 1")
+    if jobs < 1:
+        raise UserError(f"jobs is {jobs}: it must be at least 1")
+    setup = Setup(str(model), ranks, root, tuple(data), options)
+    wanted = cells(setup, tuple(rows or known), tuple(shares))
+    order = {(c.row, c.share, c.criterion, c.tuned): number for number, c in enumerate(wanted)}
+    done: list[dict[str, Any]] = []
+    for result in watch.track(measure_all(setup, wanted, output, jobs), "networks", len(wanted)):
+        done.append(result)
+        done.sort(key=lambda r: order[r["row"], r["share"], r["criterion"], r["tuned"]])
+        write_csv(done, output / "table.csv")
+    draw_sensitivity(done, output / "sensitivity.png")
+    return done
 
 
 @dataclass(frozen=True)
@@ -65,7 +116,7 @@ class Cell:
     """One network to make and to measure."""
 
     row: str
-    """a key of `ROWS`, ``unpruned``, or ``paper`` for the plan of the paper's widths"""
+    """a row of the architecture's ablation, ``unpruned``, or ``paper`` for the plan of the paper's widths"""
     share: float | None = None
     """share of the row's filters that is KEPT"""
     criterion: str = "rank"
@@ -83,10 +134,10 @@ class Cell:
 def cells(setup: Setup, rows: tuple[str, ...], shares: tuple[float, ...]) -> list[Cell]:
     """The unpruned network, the table of ratios and the comparison of criteria; with and without fine-tuning.
 
-    Where there are no training data, nothing is fine-tuned and ``taylor``, which needs a loss, is left out.
+    Where there are no training data, nothing is fine-tuned, and criteria that need a loss are left out.
     """
     found = [Cell("unpruned")]
-    criteria = [c for c in ("rank", *CRITERIA) if c != "taylor" or setup.data]
+    criteria = [name for name in CRITERIA if setup.data or name not in WITH_LOSS]
     for tuned in (False, True) if setup.data else (False,):
         found += [Cell(row, share, tuned=tuned) for row in rows for share in shares]
         found += [Cell("paper", criterion=criterion, tuned=tuned) for criterion in criteria]
@@ -130,7 +181,7 @@ def measure(setup: Setup, cell: Cell, folder: Path) -> dict[str, Any]:
     run.mkdir(parents=True, exist_ok=True)
     network = _make(setup, cell)
     if cell.tuned:
-        sequences = [s for entry in setup.data for s in datasets.read_entry(entry)]
+        sequences = DataChoice(setup.data).training
         quiet = RunOptions(workers=0, cache_gb=1.0, save_every=100)
         for _ in train(network, sequences, [], run, setup.options, quiet):
             pass
@@ -139,13 +190,12 @@ def measure(setup: Setup, cell: Cell, folder: Path) -> dict[str, Any]:
         save(run / MODEL_FILE, network)
     tracker = Tracker(str(run / MODEL_FILE), options=TrackerOptions("torch", threads=1, plain=True))
     mean = mean_over(tracker, datasets.read("folder", setup.root))
-    spec = network.spec
     result = {
         **dataclasses.asdict(cell),
         "precision": mean.figures["precision"],
         "auc": mean.figures["auc"],
         "parameters": count_parameters(network),
-        "gmacs": search_macs(spec.widths, spec.search_size) / 1e9,
+        "gmacs": search_macs(network.spec) / 1e9,
     }
     write_json(folder / f"{cell.name}.json", {"format": _CELL_FORMAT, **result})
     shutil.rmtree(run)
@@ -157,25 +207,17 @@ def _make(setup: Setup, cell: Cell) -> SiamFCpp:
     network = load(setup.model)
     if cell.row == "unpruned":
         return network
-    table = RankTable.read(setup.ranks)
-    if table.widths != network.spec.widths:
-        raise UserError(f"rank table {setup.ranks} is not of {setup.model}: their widths differ")
-    if cell.row in ROWS:
+    arch, table = network.spec.arch, read_ranks(setup.ranks, network)
+    if cell.row in arch.ablation:
         assert cell.share is not None
-        return prune_siamfcpp(network, plan(table, dict.fromkeys(ROWS[cell.row], cell.share)))
-    counts = {name: kept_count(name, table.widths[name], share) for name, share in PAPER_KEEP.items()}
-    chosen = choose(table, counts) if cell.criterion == "rank" else _by(cell.criterion, network, setup, counts)
-    return prune_siamfcpp(network, chosen)
-
-
-def _by(criterion: str, network: SiamFCpp, setup: Setup, counts: dict[str, int]) -> Plan:
-    if criterion == "taylor":
-        sequences = [s for entry in setup.data for s in datasets.read_entry(entry)]
-        loss, size = PairLoss(network, setup.options.losses), setup.options.batch
-        for batch in held_out_batches(sequences, setup.options.pairs, _TAYLOR_BATCHES * size, size):
-            loss(batch)["total"].backward()
-    example = tuple(torch.rand(1, 3, size, size) * 255 for size in (TEMPLATE_SIZE, network.spec.search_size))
-    return keep_best(scores(network, example, siamfcpp_groups(network.spec.widths), criterion), counts)
+        return prune_model(network, plan(table, dict.fromkeys(arch.ablation[cell.row], cell.share)))
+    counts = {name: kept_count(name, table.widths[name], share) for name, share in arch.presets[cell.row].items()}
+    gradients = None
+    if cell.criterion in WITH_LOSS:
+        gradients = loss_gradients(network, DataChoice(setup.data).training, setup.options)
+    context = Context(network, example_inputs(network.spec), table, gradients)
+    scored = score_table(groups_of(network.spec), context, find_criterion(cell.criterion))
+    return prune_model(network, choose(scored, counts))
 
 
 def _claim(setup: Setup, folder: Path) -> None:

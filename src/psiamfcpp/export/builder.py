@@ -1,0 +1,147 @@
+"""Graphs built node by node, so that everything is in them: what the graphs of every architecture share."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import onnx
+from numpy.typing import NDArray
+from onnx import TensorProto, helper, numpy_helper
+
+from psiamfcpp.export.layers import Layer
+from psiamfcpp.models import arch
+from psiamfcpp.runtime.graph_file import GRAPH_FORMAT
+from psiamfcpp.spec import ModelSpec
+
+_OPSET = 17
+# IR version of the oldest onnxruntime that the package allows.
+_IR_VERSION = 8
+
+
+@dataclass(frozen=True)
+class Ranges:
+    """The values that 8 bits must hold; by default nothing is quantized."""
+
+    inputs: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    """lowest and highest input of each layer that is to be quantized; the other layers stay float"""
+    features: NDArray[np.float32] | None = None
+    """``(C,)``: largest magnitude of each channel of the features that are correlated"""
+    maps: NDArray[np.float32] | None = None
+    """``(C,)``: the same of what the correlation makes of these channels"""
+    factors: Mapping[str, NDArray[np.float32]] = field(default_factory=dict)
+    """what the output channels of layers are divided by, before the ranges above were taken"""
+
+
+@dataclass
+class Builder:
+    """A graph in the making; names of tensors are strings."""
+
+    layers: Mapping[str, Layer]
+    ranges: Ranges
+    nodes: list[Any] = field(default_factory=list)
+    constants: dict[str, Any] = field(default_factory=dict)
+    steps: dict[str, np.float32] = field(default_factory=dict)
+    """of tensors that come straight from 8 bits"""
+
+    def add(self, op: str, *inputs: str, name: str = "", outputs: int = 1, **attributes: Any) -> Any:
+        """Append a node; the name of its output, or a tuple of them."""
+        name = name or f"{op}_{len(self.nodes)}"
+        out = [name] if outputs == 1 else [f"{name}_{i}" for i in range(outputs)]
+        self.nodes.append(helper.make_node(op, list(inputs), out, name=name, **attributes))
+        return out[0] if outputs == 1 else tuple(out)
+
+    def constant(self, value: Any, name: str = "") -> str:
+        """Store a constant; its name."""
+        array = np.asarray(value)
+        name = name or f"{array.dtype}_{array.tolist()}"
+        self.constants[name] = numpy_helper.from_array(array, name)
+        return name
+
+    def conv(self, name: str, x: str, relu: bool, stride: int = 1) -> str:
+        """The layer of that name, quantized if its input's range is known."""
+        layer = self.layers[name]
+        if name in self.ranges.inputs:
+            x, weight, bias = self._quantized(name, x, layer)
+        else:
+            weight, bias = self._half(name, layer), self.constant(layer.bias, f"{name}.bias")
+        out = self.add("Conv", x, weight, bias, name=name, strides=[stride, stride])
+        return self.add("Relu", out, name=f"{name}.relu") if relu else out
+
+    def _half(self, name: str, layer: Layer) -> str:
+        """A float weight stored in 16 bits: the runtime multiplies it out once, at load."""
+        # A power of two for each filter keeps all of a half-precision checkpoint's bits.
+        peak = np.abs(layer.weight).max(axis=(1, 2, 3), keepdims=True)
+        power = np.exp2(np.floor(np.log2(np.maximum(peak, 1e-30)))).astype(np.float32)
+        half = self.constant((layer.weight / power).astype(np.float16), f"{name}.weight")
+        scale = self.constant(power * layer.gain[:, None, None, None], f"{name}.scale")
+        return self.add("Mul", self.add("Cast", half, to=TensorProto.FLOAT), scale)
+
+    def _quantized(self, name: str, x: str, layer: Layer) -> tuple[str, str, str]:
+        """Input, weight and bias of a layer as what is left after eight bits."""
+        if x not in self.steps:
+            low, high = (f(bound, 0.0) for f, bound in zip((min, max), self.ranges.inputs[name], strict=True))
+            step = np.float32(max((high - low) / 255, 1e-8))
+            zero = round(-low / float(step))
+            x = self.from_uint8(self.to_uint8(x, step, zero), step, zero)
+        folded = layer.weight * layer.gain[:, None, None, None]
+        steps = np.maximum(np.abs(folded).max(axis=(1, 2, 3)) / 127, 1e-12).astype(np.float32)
+        rounded = np.rint(folded / steps[:, None, None, None]).astype(np.int8)
+        weight = self.add(
+            "DequantizeLinear",
+            self.constant(rounded, f"{name}.weight"),
+            self.constant(steps, f"{name}.weight_scale"),
+            self.constant(np.zeros(len(steps), np.int8), f"{name}.weight_zero"),
+            axis=0,
+        )
+        bias_steps = (steps * self.steps[x]).astype(np.float32)
+        limit = 2**31 - 1
+        bias = self.add(
+            "DequantizeLinear",
+            self.constant(np.rint(layer.bias / bias_steps).clip(-limit, limit).astype(np.int32), f"{name}.bias"),
+            self.constant(bias_steps, f"{name}.bias_scale"),
+            self.constant(np.zeros(len(steps), np.int32), f"{name}.bias_zero"),
+            axis=0,
+        )
+        return x, weight, bias
+
+    def to_uint8(self, x: str, step: np.float32, zero: int) -> str:
+        """A tensor in eight bits; pixels are that already."""
+        if x == "pixels":
+            return x
+        return self.add("QuantizeLinear", x, self.constant(step), self.constant(np.uint8(zero)))
+
+    def from_uint8(self, x: str, step: np.float32, zero: int) -> str:
+        """What eight bits stand for."""
+        x = self.add("DequantizeLinear", x, self.constant(step), self.constant(np.uint8(zero)))
+        self.steps[x] = step
+        return x
+
+    def layer(self, row: arch.Layer, x: str) -> str:
+        """The layer of a row of the table, with its pool."""
+        return self.pooled(row, self.conv(row.name, x, row.relu, row.stride))
+
+    def pooled(self, row: arch.Layer, x: str) -> str:
+        """A layer's map after its pool, if it has one."""
+        if row.pool is None:
+            return x
+        # Pools round up in the network; at the sizes that a spec allows there is nothing to round.
+        kernel, stride = ([side, side] for side in row.pool)
+        name = f"{row.part}.pool{1 + sum(node.op_type == 'MaxPool' for node in self.nodes)}"
+        return str(self.add("MaxPool", x, name=name, kernel_shape=kernel, strides=stride))
+
+    def model(
+        self, spec: ModelSpec, inputs: list[Any], outputs: dict[str, tuple[str, Any, list[Any]]]
+    ) -> onnx.ModelProto:
+        """The finished graph, its outputs under their public names, the spec in its metadata."""
+        for public, (tensor, _, _) in outputs.items():
+            self.nodes.append(helper.make_node("Identity", [tensor], [public], name=public))
+        values = [helper.make_tensor_value_info(public, kind, shape) for public, (_, kind, shape) in outputs.items()]
+        graph = helper.make_graph(self.nodes, "psiamfcpp", inputs, values, list(self.constants.values()))
+        model = helper.make_model(
+            graph, opset_imports=[helper.make_opsetid("", _OPSET)], ir_version=_IR_VERSION, producer_name="psiamfcpp"
+        )
+        helper.set_model_props(model, {"format": GRAPH_FORMAT, "spec": spec.to_json()})
+        return model

@@ -1,0 +1,297 @@
+"""Architectures as tables of layers, from which every size, cost, group and graph is derived; torch is not needed.
+
+An architecture is one module with a table, named in `ARCHITECTURES`. The table says which files build its network and
+its graphs; no other file names a layer.
+"""
+
+from __future__ import annotations
+
+import functools
+import importlib
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import Any, TypeVar
+
+from psiamfcpp.errors import UserError
+
+# What the first layer reads, in place of a layer's name.
+PIXELS = "pixels"
+# Architecture of files that name none, as those of version 0.1.
+DEFAULT = "siamfcpp-alexnet"
+# Name of each architecture, and the module whose ``ARCHITECTURE`` is its table.
+ARCHITECTURES = {DEFAULT: "psiamfcpp.models.siamfcpp_alexnet"}
+
+Output = TypeVar("Output")
+
+
+@dataclass(frozen=True)
+class Layer:
+    """One row of the table: a convolution, or another operation of `OPERATIONS`."""
+
+    name: str
+    """``part.name``, as in the names of the weights"""
+    reads: tuple[str, ...]
+    """layers whose maps it reads, or `PIXELS`; a correlation reads features, then kernels"""
+    width: int = 0
+    """number of filters in the unpruned network; 0 where it follows from what is read"""
+    kernel: int = 1
+    """side of the kernel"""
+    stride: int = 1
+    bn: bool = True
+    """whether BatchNorm follows"""
+    relu: bool = True
+    """whether ReLU follows"""
+    pool: tuple[int, int] | None = None
+    """kernel and stride of the max-pool at the end, which rounds sizes up"""
+    operation: str = "convolution"
+    """a key of `OPERATIONS`"""
+    group: str | None = None
+    """prunable group, which ties layers channel by channel; None for a layer that keeps its width"""
+    ablation: str | None = None
+    """row of the ablation (paper, section 4.5) that prunes it alone, or with others of the same row"""
+    thaw: float | None = None
+    """share of a training run after which it is trained, 1 for never; None where it is trained throughout"""
+    joined: str | None = None
+    """name that it shares in exported graphs with layers that read the same input, since they are one layer there"""
+
+    @property
+    def part(self) -> str:
+        """Part of the network that holds it."""
+        return self.name.partition(".")[0]
+
+    @property
+    def child(self) -> str:
+        """Name within its part."""
+        return self.name.partition(".")[2]
+
+
+@dataclass(frozen=True)
+class Operation:
+    """What the table needs to know of an operation; ``sides`` and ``widths`` are those of what a layer reads."""
+
+    side: Callable[[Layer, list[int]], int]
+    """side of the map that it gives, before the pool"""
+    width: Callable[[int, list[int]], int]
+    """number of channels, from the layer's own width"""
+    macs: Callable[[Layer, list[int], list[int], int, int], int]
+    """multiply-accumulates, from layer, sides, widths, own side and own width"""
+
+
+OPERATIONS: dict[str, Operation] = {
+    "convolution": Operation(
+        side=lambda layer, sides: (sides[0] - layer.kernel) // layer.stride + 1,
+        width=lambda own, widths: own,
+        macs=lambda layer, sides, widths, side, width: layer.kernel**2 * widths[0] * width * side**2,
+    ),
+    # Channel by channel, with the template's map as kernel.
+    "correlation": Operation(
+        side=lambda layer, sides: sides[0] - sides[1] + 1,
+        width=lambda own, widths: widths[0],
+        macs=lambda layer, sides, widths, side, width: width * sides[1] ** 2 * side**2,
+    ),
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Architecture:
+    """A network as data: its table, its sizes, and the files that build it."""
+
+    layers: tuple[Layer, ...]
+    """in the order in which the network makes its modules; what a layer reads stands before it"""
+    network: str
+    """``module:Class`` of the torch network, which takes a `psiamfcpp.spec.ModelSpec`; see `psiamfcpp.models.build`"""
+    exporter: str
+    """module with ``layers(model)``, ``template_graph`` and ``search_graph``, see `psiamfcpp.export.graph`"""
+    template_size: int
+    """side of the template crop, pixels"""
+    search_size: int
+    """side of the search crop that a new network has, pixels"""
+    sizes: tuple[int, ...]
+    """sides of search crops to suggest"""
+    stride: int
+    """pixels of the crop between two cells of the score map"""
+    presets: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    """by name: share KEPT of each group"""
+    rates: tuple[tuple[str, float], ...] = ()
+    """regular expressions over parameters, and what multiplies the learning rate of those that match wholly"""
+
+    def __getitem__(self, name: str) -> Layer:
+        return self._by_name[name]
+
+    @functools.cached_property
+    def _by_name(self) -> dict[str, Layer]:
+        return {layer.name: layer for layer in self.layers}
+
+    @functools.cached_property
+    def groups(self) -> dict[str, int]:
+        """Prunable groups, in order, with their full widths."""
+        return {layer.group: layer.width for layer in self.layers if layer.group}
+
+    @functools.cached_property
+    def outputs(self) -> list[Layer]:
+        """Layers whose maps no other layer reads."""
+        read = {name for layer in self.layers for name in layer.reads}
+        return [layer for layer in self.layers if layer.name not in read]
+
+    @functools.cached_property
+    def ablation(self) -> dict[str, tuple[str, ...]]:
+        """Groups that each row of the ablation prunes; the last row prunes all."""
+        rows: dict[str, list[str]] = {}
+        for layer in self.layers:
+            if layer.ablation and layer.group and layer.group not in rows.setdefault(layer.ablation, []):
+                rows[layer.ablation].append(layer.group)
+        return {**{row: tuple(groups) for row, groups in rows.items()}, "everything": tuple(self.groups)}
+
+    @functools.cached_property
+    def unfreeze(self) -> dict[str, float]:
+        """Share of a training run after which each layer of the backbone is trained; the last layer comes first."""
+        return {layer.child: layer.thaw for layer in reversed(self.layers) if layer.thaw is not None}
+
+    @functools.cached_property
+    def views(self) -> dict[str, tuple[str, ...]]:
+        """Crops that each layer sees: ``template``, ``search`` or both."""
+        seen: dict[str, set[str]] = {layer.name: set() for layer in self.layers}
+
+        def visit(name: str, view: str) -> None:
+            if name == PIXELS or view in seen[name]:
+                return
+            seen[name].add(view)
+            for number, read in enumerate(self[name].reads):
+                visit(read, "template" if number and self[name].operation == "correlation" else view)
+
+        for layer in self.outputs:
+            visit(layer.name, "search")
+        return {name: tuple(view for view in ("template", "search") if view in views) for name, views in seen.items()}
+
+    def part(self, name: str) -> list[Layer]:
+        """Rows of one part of the network."""
+        return [layer for layer in self.layers if layer.part == name]
+
+    def width(self, name: str, widths: Mapping[str, int]) -> int:
+        """Number of channels of a layer in a network of the given widths by group."""
+        if name == PIXELS:
+            return 3
+        layer = self[name]
+        own = widths[layer.group] if layer.group else layer.width
+        return OPERATIONS[layer.operation].width(own, [self.width(read, widths) for read in layer.reads])
+
+    def side(self, name: str, crop: int, template_size: int | None = None) -> int:
+        """Side of a layer's map for a crop of ``crop`` pixels, after its pool.
+
+        Args:
+            name: of the layer, or `PIXELS`.
+            crop: side of the crop; for a layer behind a correlation, of the search crop.
+            template_size: side of the template crop; by default the architecture's.
+        """
+        if name == PIXELS:
+            return crop
+        layer = self[name]
+        side = OPERATIONS[layer.operation].side(
+            layer, _sides_read(self, layer, crop, template_size or self.template_size)
+        )
+        return side if layer.pool is None else -((layer.pool[0] - side) // layer.pool[1]) + 1
+
+    def macs(self, widths: Mapping[str, int], search_size: int) -> int:
+        """Multiply-accumulates of one search crop: convolutions and correlations."""
+        macs = 0
+        for layer, sides, side in _searched(self, search_size):
+            read = [self.width(name, widths) for name in layer.reads]
+            macs += OPERATIONS[layer.operation].macs(layer, sides, read, side, self.width(layer.name, widths))
+        return macs
+
+    def feature_size(self, side: int) -> int:
+        """Side of the backbone's map for a crop of ``side`` pixels."""
+        shared = [layer for layer in self.layers if len(self.views[layer.name]) == 2]
+        return self.side(shared[-1].name, side)
+
+    def score_size(self, search_size: int, template_size: int | None = None) -> int:
+        """Side of the score map.
+
+        Raises:
+            UserError: the sizes leave no map, or its cells would not lie symmetrically about the crop's centre.
+        """
+        size = template_size or self.template_size
+        hint = "try " + " or ".join(map(str, self.sizes))
+        if (search_size - size) % self.stride or (search_size - self.template_size) % 2:
+            raise UserError(f"search size {search_size} is not {size} plus a multiple of {self.stride}: {hint}")
+        cells = self.side(self.outputs[0].name, search_size, size)
+        if cells < 3:
+            raise UserError(f"search size {search_size} leaves a score map of {cells} cells: {hint}")
+        return cells
+
+    def exported(self, name: str) -> str:
+        """Name of a layer in exported graphs."""
+        return self[name].joined or name
+
+    @functools.cached_property
+    def readers(self) -> dict[str, tuple[str, ...]]:
+        """For each layer of the graphs, the convolutions that read it, through a pool or not, by their names there."""
+        found: dict[str, list[str]] = {}
+        for layer in self.layers:
+            for read in layer.reads:
+                if layer.operation == "convolution" and read != PIXELS and self[read].operation == "convolution":
+                    readers = found.setdefault(self.exported(read), [])
+                    readers += [self.exported(layer.name)] * (self.exported(layer.name) not in readers)
+        return {name: tuple(readers) for name, readers in found.items()}
+
+
+@functools.lru_cache(maxsize=64)
+def _searched(arch: Architecture, search_size: int) -> list[tuple[Layer, list[int], int]]:
+    """Layers of the search pass, with the sides of what they read and of their maps before the pool."""
+    rows = [layer for layer in arch.layers if "search" in arch.views[layer.name]]
+    read = [_sides_read(arch, layer, search_size, arch.template_size) for layer in rows]
+    return [
+        (layer, sides, OPERATIONS[layer.operation].side(layer, sides)) for layer, sides in zip(rows, read, strict=True)
+    ]
+
+
+def _sides_read(arch: Architecture, layer: Layer, crop: int, template_size: int) -> list[int]:
+    """Sides of what a layer reads; the kernels of a correlation come from the template crop."""
+    crops = [crop, template_size] if layer.operation == "correlation" else [crop] * len(layer.reads)
+    return [arch.side(read, size, template_size) for read, size in zip(layer.reads, crops, strict=True)]
+
+
+def architecture(name: str) -> Architecture:
+    """The table of an architecture.
+
+    Raises:
+        UserError: there is none of that name; the known ones are listed.
+    """
+    if name not in ARCHITECTURES:
+        raise UserError(f"unknown architecture {name!r}: known are {', '.join(ARCHITECTURES)}")
+    found: Architecture = importlib.import_module(ARCHITECTURES[name]).ARCHITECTURE
+    return found
+
+
+def by_depth(layers: Iterable[Layer]) -> list[Layer]:
+    """Layers ordered by how many others of them they stand behind, so that branches advance side by side."""
+    known, depth = {layer.name: layer for layer in layers}, dict[str, int]()
+    for layer in known.values():
+        depth[layer.name] = 1 + max((depth.get(read, 0) for read in layer.reads), default=0)
+    return [known[name] for name in sorted(depth, key=depth.__getitem__)]
+
+
+def walk(
+    layers: Iterable[Layer], maps: Mapping[str, Output], apply: Callable[[Layer, Output], Output]
+) -> dict[str, Output]:
+    """Run layers of one input each, in the given order, whatever stands for their maps.
+
+    Args:
+        layers: rows, each behind what it reads.
+        maps: what is there before, by name.
+        apply: gives a layer's map from the map that it reads.
+
+    Returns:
+        The maps given and made, by name.
+    """
+    found = dict(maps)
+    for layer in layers:
+        found[layer.name] = apply(layer, found[layer.reads[0]])
+    return found
+
+
+def opened(path: str) -> Any:
+    """What an import path ``module:name``, or ``module``, of a table stands for."""
+    module, _, name = path.partition(":")
+    found = importlib.import_module(module)
+    return getattr(found, name) if name else found

@@ -1,0 +1,64 @@
+"""Groups and pruning of this package's own networks, whose tables of layers say what is tied to what."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import torch
+from torch import Tensor
+
+from psiamfcpp.models import SiamFCpp, build
+from psiamfcpp.models.arch import Architecture
+from psiamfcpp.pruning.groups import Group
+from psiamfcpp.pruning.planning import Plan
+from psiamfcpp.pruning.surgery import prune
+from psiamfcpp.spec import ModelSpec
+
+
+def groups_of(spec: ModelSpec) -> dict[str, Group]:
+    """Return the groups of a network by name, from the table of its architecture and its widths."""
+    arch = spec.arch
+    members = {name: [layer.name for layer in arch.layers if layer.group == name] for name in arch.groups}
+    return {
+        name: Group(
+            tuple(blocks),
+            spec.widths[name],
+            views=tuple(view for block in blocks for view in arch.views[block]),
+            name=name,
+            readers=_readers(arch, blocks),
+        )
+        for name, blocks in members.items()
+    }
+
+
+def prune_model(model: SiamFCpp, plan: Plan) -> SiamFCpp:
+    """Return a copy of a network with the filters that a plan keeps; its spec differs in the widths alone.
+
+    Raises:
+        UserError: as of `psiamfcpp.pruning.prune`.
+    """
+    device = next(model.parameters()).device
+    example = tuple(crop.to(device) for crop in example_inputs(model.spec))
+    cut = prune(model, example, plan, groups_of(model.spec))
+    # Rebuilt from its widths, as loading will do, so that a network which does not fit them cannot come about.
+    result = build(dataclasses.replace(model.spec, widths={**model.spec.widths, **plan.widths})).to(device)
+    result.load_state_dict(cut.state_dict())
+    return result.train(model.training)
+
+
+def example_inputs(spec: ModelSpec) -> tuple[Tensor, Tensor]:
+    """Return a random template and search crop ``(1, 3, S, S)``, 0..255, as a network's forward takes them."""
+    generator = torch.Generator().manual_seed(0)
+    template, search = (
+        torch.rand(1, 3, size, size, generator=generator) * 255 for size in (spec.template_size, spec.search_size)
+    )
+    return template, search
+
+
+def _readers(arch: Architecture, blocks: list[str]) -> tuple[str, ...]:
+    """Layers that read the blocks; a correlation hands channels on to those that read it."""
+    found: list[str] = []
+    for layer in arch.layers:
+        if any(read in blocks for read in layer.reads):
+            found += _readers(arch, [layer.name]) if layer.operation == "correlation" else [layer.name]
+    return tuple(dict.fromkeys(found))
