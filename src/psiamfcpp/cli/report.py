@@ -11,6 +11,7 @@ from psiamfcpp.cli.output import notes
 from psiamfcpp.datasets import BenchmarkName
 from psiamfcpp.errors import UserError
 from psiamfcpp.recipes.report import report as make_report
+from psiamfcpp.watch import Watch
 
 
 def report(
