@@ -47,6 +47,11 @@ def test_a_shipped_name_runs_in_each_form_that_is_shipped() -> None:
     assert not runs("torch", "psiamfcpp-alexnet-int8")
 
 
+@pytest.mark.parametrize(("model", "precision"), [("psiamfcpp-alexnet", "fp32"), ("psiamfcpp-alexnet-n-int8", "int8")])
+def test_the_precision_is_that_of_the_graph(model: str, precision: str) -> None:
+    assert open_engine(model, "onnx", 1, 239).precision == precision
+
+
 def test_what_runs_what_is_said_in_a_sentence() -> None:
     assert forms() == "graphs run on onnx and openvino, checkpoints run on torch"
 

@@ -11,11 +11,14 @@ import torch
 from numpy.testing import assert_allclose
 
 from psiamfcpp import UserError
+from psiamfcpp.crop import mean_colour, target_crop
+from psiamfcpp.geometry import centre
 from psiamfcpp.models import load
 from psiamfcpp.models.network import ConvBlock
 from psiamfcpp.runtime import open_engine, torch_engine
 from psiamfcpp.runtime.device import Device
 from psiamfcpp.runtime.torch_engine import TorchEngine, in_half, torch_device
+from psiamfcpp.video.demo_clip import render
 
 
 @pytest.fixture(autouse=True)
@@ -75,6 +78,22 @@ def test_a_gpu_computes_in_half_precision(tiny_model: Path, monkeypatch: pytest.
     assert_allclose(boxes, expected_boxes, atol=0.5)
     many, _ = half.search_many(crops, [kernels, kernels])
     assert_allclose(many[0], scores, atol=2e-3)
+
+
+def test_a_trained_model_finds_the_same_boxes_in_half_precision(monkeypatch: pytest.MonkeyPatch) -> None:
+    full = open_engine("psiamfcpp-alexnet-s", "torch", 1, 239)
+    monkeypatch.setattr(torch_engine, "torch_device", lambda device: torch.device("cpu"))
+    half = open_engine("psiamfcpp-alexnet-s", "torch", 1, 239, "cuda")
+    shots = list(render(4, 2, (320, 192)))
+    z, x = (
+        target_crop(shot.image, (*map(float, centre(shot.box)), *shot.box[2:]), side, 127, mean_colour(shot.image))
+        for shot, side in zip(shots, (127, 239), strict=True)
+    )
+    (scores, boxes), (expected_scores, expected_boxes) = (e.search(x, e.template(z)) for e in (half, full))
+    assert_allclose(scores, expected_scores, atol=2e-3)
+    counts = expected_scores >= expected_scores.max() / 2
+    # what docs/export.md states, in pixels of the search crop
+    assert_allclose(boxes[counts], expected_boxes[counts], atol=0.5)
 
 
 def test_variances_beyond_half_precision_are_folded_before(tiny_model: Path, monkeypatch: pytest.MonkeyPatch) -> None:
