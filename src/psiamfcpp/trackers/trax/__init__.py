@@ -1,0 +1,6 @@
+"""Trackers in processes of their own, and ours for the tools of others, over the TraX protocol."""
+
+from psiamfcpp.trackers.trax.client import TraxTracker, open_trax, trax_files, trax_name
+from psiamfcpp.trackers.trax.server import serve_trax
+
+__all__ = ["TraxTracker", "open_trax", "serve_trax", "trax_files", "trax_name"]
