@@ -45,7 +45,7 @@ def main() -> None:
     for box in BOXES:
         region = trax.region.Rectangle.create(*box)
         replies = [client.initialize({"color": image(kind, files[0])}, [(region, {})], {})]
-        replies += [client.frame({"color": image(kind, file)}) for file in files[1:]]
+        replies += [client.frame({"color": image(kind, file)}, {}, []) for file in files[1:]]
         states = [objects[0] for objects, _ in replies]
         found["targets"].append([[list(region.bounds()), properties] for region, properties in states])
     client.quit()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import math
 import shlex
@@ -29,6 +30,7 @@ FRAME_SECONDS = 60.0
 """how long a worker may take for one frame"""
 START_SECONDS = 300.0
 """how long a worker may take to load its model and say hello"""
+_LONGEST_LABEL = 160
 # Since version 4 the region and the image of a new target travel in two messages.
 _SEPARATE_SINCE = 4
 
@@ -61,7 +63,7 @@ def open_trax(
         words,
         name or trax_name(command),
         identity,
-        label=f"trax:{command}",
+        label=_shortened(f"trax:{command}"),
         environment=environment,
         frame_seconds=frame_seconds,
         start_seconds=start_seconds,
@@ -84,7 +86,7 @@ def trax_files(command: str) -> list[Path]:
     Raises:
         UserError: the command cannot be read.
     """
-    return [Path(word) for word in _words(command)[1:] if Path(word).is_file()]
+    return [Path(word) for word in _words(command)[1:] if _is_file(word)]
 
 
 class TraxTracker:
@@ -230,10 +232,23 @@ def _words(command: str) -> list[str]:
     return words
 
 
+def _shortened(label: str) -> str:
+    """Return a label of one line, of which the end is left out if it is long."""
+    line = " ".join(label.split())
+    return line if len(line) <= _LONGEST_LABEL else line[:_LONGEST_LABEL] + "..."
+
+
+def _is_file(word: str) -> bool:
+    # a program given on the command line is too long for a name, or holds what no name can
+    with contextlib.suppress(OSError, ValueError):
+        return Path(word).is_file()
+    return False
+
+
 def _nameless(word: str) -> str:
     """Return a word of a command without the folder that a file lies in, but with the file's checksum."""
     path = Path(word)
-    if not path.is_file():
+    if not _is_file(word):
         return word
     # an interpreter is a file as well, and differs between machines
     if shutil.which(word) is not None:
