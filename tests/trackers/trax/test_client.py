@@ -126,9 +126,7 @@ def test_the_first_box_is_sent_in_the_workers_kind_of_region(
         ("mask-answer", (6, 7, 2, 2)),
     ],
 )
-def test_answers_may_be_polygons_and_masks(
-    opened: Open, mode: str, box: tuple[float, float, float, float]
-) -> None:
+def test_answers_may_be_polygons_and_masks(opened: Open, mode: str, box: tuple[float, float, float, float]) -> None:
     tracker = opened(mode)
     tracker.init(FRAME, BOX)
     tracker.update(FRAME)

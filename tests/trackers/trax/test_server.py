@@ -239,9 +239,7 @@ def test_the_reference_client_is_served(frame_files: list[Path], kind: str) -> N
     assert done.returncode == 0, done.stderr
     found = json.loads(done.stdout)
     assert (found["name"], found["status"]) == ("pixel", 0)
-    follow = [
-        [[100 + n, 50, 10, n], {"confidence": "0.5", "state": "unsure"}] for n in (1, 2)
-    ]
+    follow = [[[100 + n, 50, 10, n], {"confidence": "0.5", "state": "unsure"}] for n in (1, 2)]
     first = {"confidence": "1.0", "state": "tracking"}
     assert found["targets"] == [[[[10, 20, 30, 40], first], *follow], [[[5, 6, 7, 8], first], *follow]]
 
@@ -273,9 +271,7 @@ while True:
 
 
 @pytest.mark.slow
-def test_the_command_serves_a_model(
-    tiny_model: Path, blob_frame: Callable[..., Image]
-) -> None:
+def test_the_command_serves_a_model(tiny_model: Path, blob_frame: Callable[..., Image]) -> None:
     from psiamfcpp.tracking import Tracker
 
     words = [sys.executable, "-m", "psiamfcpp", "trax", "--model", str(tiny_model), "--plain", "--threads", "1"]
