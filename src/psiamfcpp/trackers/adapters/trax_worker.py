@@ -9,11 +9,14 @@ What the tracker prints goes to standard error: `claim_streams` gives standard o
 
 import argparse
 import base64
+import collections.abc
+import importlib.util
 import os
 import random
 import re
 import socket
 import sys
+import types
 from pathlib import Path
 from typing import Any, BinaryIO, Callable, Dict, List, NamedTuple, Optional, Tuple
 
@@ -327,6 +330,106 @@ def seed_everything(threads: int, seed: int = 0) -> None:
         torch.set_num_threads(threads)
 
 
+def adapt_torch(device: str) -> None:
+    """Let research code of its time run with the torch of today, and on the CPU where that is asked for.
+
+    * Weights files are pickles of the authors; since torch 2.6 `torch.load` refuses them by itself.
+    * ``torchvision.models.resnet.model_urls`` is gone since torchvision 0.13; only pre-training used it.
+    * ``torch._six`` is gone since torch 1.13.
+    * Nothing is fetched: weights come from the user's file.
+    * Without a GPU, ``.cuda()`` and ``.to("cuda")`` stay on the CPU.
+    """
+    import torch
+    import torch.utils.model_zoo
+
+    load = torch.load
+
+    def load_file(*args: Any, **kwargs: Any) -> Any:
+        if "weights_only" in load.__code__.co_varnames:
+            kwargs.setdefault("weights_only", False)
+        if device == "cpu":
+            kwargs["map_location"] = "cpu"
+        return load(*args[:1], **kwargs)
+
+    def refuse(url: str, *args: Any, **kwargs: Any) -> Any:
+        raise RuntimeError(f"the tracker wants to fetch {url}: give it a weights file")
+
+    torch.load = load_file
+    torch.hub.load_state_dict_from_url = refuse
+    torch.utils.model_zoo.load_url = refuse
+    try:
+        import torchvision.models.resnet as resnet
+    except ImportError:
+        resnet = None
+    if resnet is not None and not hasattr(resnet, "model_urls"):
+        resnet.model_urls = dict.fromkeys(("resnet18", "resnet34", "resnet50", "resnet101", "resnet152"), "weights")
+    if importlib.util.find_spec("torch._six") is None:
+        six = types.ModuleType("torch._six")
+        six.container_abcs, six.string_classes, six.int_classes = collections.abc, (str, bytes), int
+        sys.modules["torch._six"] = six
+    if device == "cpu":
+        _stay_on_cpu(torch)
+
+
+def _stay_on_cpu(torch: Any) -> None:
+    def here(self: Any, *args: Any, **kwargs: Any) -> Any:
+        return self
+
+    def elsewhere(place: Any) -> Any:
+        named = isinstance(place, (str, torch.device)) and str(place).startswith("cuda")
+        return "cpu" if named else place
+
+    def staying(move: Any) -> Any:
+        def to(self: Any, *args: Any, **kwargs: Any) -> Any:
+            return move(self, *map(elsewhere, args), **{key: elsewhere(value) for key, value in kwargs.items()})
+
+        return to
+
+    for kind in (torch.Tensor, torch.nn.Module):
+        kind.cuda = here
+        kind.to = staying(kind.to)
+    torch.cuda.current_device = lambda: 0
+
+
+class PysotStyle:
+    """Trackers with ``init(image, box)`` and ``track(image)["bbox"]``, as in PySOT."""
+
+    def __init__(self, tracker: Any) -> None:
+        self._tracker = tracker
+
+    def init(self, image: Any, box: List[float]) -> None:
+        """Start on a box."""
+        self._tracker.init(image, box)
+
+    def update(self, image: Any) -> Any:
+        """Return box and score of the next image."""
+        found = self._tracker.track(image)
+        return found["bbox"], found.get("best_score")
+
+
+class PytrackingStyle:
+    """Trackers with ``initialize(image, {"init_bbox": box})`` and ``track(image)["target_bbox"]``, as in PyTracking.
+
+    Args:
+        tracker: the tracker, or what makes a new one for each target.
+        score: key of the score in what `track` returns; of several values the highest counts.
+    """
+
+    def __init__(self, tracker: Any, score: str = "") -> None:
+        self._make = tracker if callable(tracker) else lambda: tracker
+        self._score = score
+
+    def init(self, image: Any, box: List[float]) -> None:
+        """Start on a box."""
+        self._tracker = self._make()
+        self._tracker.initialize(image, {"init_bbox": box})
+
+    def update(self, image: Any) -> Any:
+        """Return box and score of the next image."""
+        found = self._tracker.track(image)
+        return found["target_bbox"], float(np.max(found[self._score])) if self._score else None
+
+
 def box_and_score(answer: Any) -> Tuple[Any, Optional[float]]:
     """Return the box ``(4,)`` and the score, or None, of what a tracker's `update` returned.
 
@@ -372,6 +475,8 @@ def main(facts: Dict[str, Any], build: Callable[[Setup], Any]) -> None:
     os.environ.setdefault("OMP_NUM_THREADS", str(args.threads))
     if args.device == "cpu":
         os.environ["CUDA_VISIBLE_DEVICES"] = ""
+    if "torch" in facts["modules"]:
+        adapt_torch(args.device)
     seed_everything(args.threads)
     tracker = build(setup)
     session = Session(streams, facts["name"])

@@ -22,7 +22,7 @@ from psiamfcpp.trackers.adapters.trax_worker import Message, ProtocolError, spli
 _LONGEST_LINE = 8 << 20
 _BLOCK = 1 << 16
 _LAST_LINES, _LAST_CHARACTERS = 3, 300
-_GOODBYE_SECONDS = 3.0
+_GOODBYE_SECONDS = 10.0
 
 
 class Worker:
