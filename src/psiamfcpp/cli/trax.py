@@ -30,8 +30,9 @@ def trax(
 
     # before the model is opened, so that nothing printed on the way gets into the protocol
     streams = claim_streams()
+    from psiamfcpp import Tracker
     from psiamfcpp.trackers.trax.server import serve_trax
-    from psiamfcpp.tracking import Tracker
 
     name = Path(model).stem if Path(model).exists() else model
-    serve_trax(Tracker(model, engine, threads, search_size, plain), name, streams)
+    tracker = Tracker(model, engine=engine, threads=threads, search_size=search_size, plain=plain)
+    serve_trax(tracker, name, streams)

@@ -62,7 +62,14 @@ def open_nanotrack(version: str, options: Mapping[str, str], threads: int | None
     """
     if version not in VERSIONS:
         raise UserError(f"unknown version {version!r} of nanotrack: there are {', '.join(VERSIONS)}")
-    return NanoTrack(version, *nanotrack_files(options), threads)
+    backbone, head = nanotrack_files(options)
+    return NanoTrack(version, backbone, head, threads)
+
+
+def open_tracker(name: str, options: Mapping[str, str]) -> NanoTrack:
+    """Open ``nanotrack:VERSION,...``; takes ``threads`` among the options."""
+    files = {key: value for key, value in options.items() if key != "threads"}
+    return open_nanotrack(name, files, int(options["threads"]) if "threads" in options else None)
 
 
 def nanotrack_files(options: Mapping[str, str]) -> list[Path]:

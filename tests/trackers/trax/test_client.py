@@ -214,7 +214,7 @@ def test_a_worker_that_hangs_is_ended_after_the_time_out(opened: Open, mode: str
 def test_a_worker_that_does_not_read_cannot_block_us(opened: Open) -> None:
     tracker = opened("deaf", frame_seconds=0.5)
     large = np.zeros((720, 1280, 3), np.uint8)
-    with pytest.raises(UserError, match="gave no answer in frame 1 in 0.5 s"):
+    with pytest.raises(UserError, match=r"gave no answer in frame 1 in 0\.5 s"):
         tracker.init(large, BOX)
 
 

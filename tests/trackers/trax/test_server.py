@@ -119,7 +119,7 @@ def test_follows_a_target_and_then_another(frame_files: list[Path], version: int
     [
         ("1.5,2,3,4.25", (1.5, 2, 3, 4.25)),
         ("1,1,5,1,4,4.25", (1, 1, 4, 3.25)),
-        # twelve by ten, of which rows 2 to 4 have columns 3 to 6, and row 5 column 4: as the reference library writes it
+        # 12 by 10, of which rows 2 to 4 have columns 3 to 6, and row 5 column 4; written by the reference library
         ("mask:0,0,12,10,27,4,8,4,8,4,9,1", (3, 2, 4, 4)),
         ("mask:20,30,2,2,0,4", (20, 30, 2, 2)),
     ],
@@ -208,7 +208,7 @@ def test_urls_are_fetched(frame_files: list[Path]) -> None:
     from http.server import BaseHTTPRequestHandler, HTTPServer
 
     class Handler(BaseHTTPRequestHandler):
-        def do_GET(self) -> None:  # noqa: N802
+        def do_GET(self) -> None:
             self.send_response(200 if "frame" in self.path else 404)
             self.end_headers()
             self.wfile.write(frame_files[0].read_bytes())

@@ -97,7 +97,7 @@ def answer(count, region):
         "lost": "@@TRAX:state 0",
         "properties": state + ' confidence=0.25 "state=unsure" "other=a b"',
         "bad-properties": state + " confidence=high state=asleep",
-        "polygon-answer": f"@@TRAX:state 10,20,30,20,30,50,10,50.5",
+        "polygon-answer": "@@TRAX:state 10,20,30,20,30,50,10,50.5",
         "mask-answer": "@@TRAX:state mask:5,6,4,3,5,2,2,2,1",
     }
     say(answers.get(MODE, state))

@@ -17,6 +17,8 @@ FACTS = {
     # tracking/test_sot.py hands on what OpenCV reads; cxy_wh_2_rect says 0-index
     "colour": "bgr",
     "origin": 0,
+    "threads": "torch.set_num_threads and OMP_NUM_THREADS, as given",
+    "seeds": "Python, NumPy, torch: 0 before each target",
     "notes": "option dataset: whose hyper-parameters of experiments/AutoMatch.yaml, by default UAV123",
 }
 

@@ -15,6 +15,8 @@ FACTS = {
     # rectangle, and adds 1 to what it returns
     "colour": "rgb",
     "origin": 1,
+    "threads": "torch.set_num_threads and OMP_NUM_THREADS, as given",
+    "seeds": "Python, NumPy, torch: 0 before each target",
     "notes": "option backbone: ResNet-50 of ImageNet (resnet50-19c8e357.pth), which the tracker would fetch itself",
 }
 

@@ -8,12 +8,14 @@ FACTS = {
     "name": "HiFT",
     "repository": "https://github.com/vision4robotics/HiFT",
     "commit": "1ceadcea00af8d9c81997c4b335156680c345f35",
-    "licence": "Apache-2.0",
+    "licence": "none stated",
     "weights": "first.pth of the repository's README",
     "modules": ["torch", "cv2", "yacs", "yaml"],
     # pysot/tracker/hift_tracker.py; tools/test.py hands on what OpenCV reads
     "colour": "bgr",
     "origin": 0,
+    "threads": "torch.set_num_threads and OMP_NUM_THREADS, as given",
+    "seeds": "Python, NumPy, torch: 0 before each target",
     "notes": "the hyper-parameters of experiments/config.yaml",
 }
 

@@ -16,6 +16,8 @@ FACTS = {
     # tracking/test_lighttrack.py converts what OpenCV reads to RGB; cxy_wh_2_rect says 0-index
     "colour": "rgb",
     "origin": 0,
+    "threads": "torch.set_num_threads and OMP_NUM_THREADS, as given",
+    "seeds": "Python, NumPy, torch: 0 before each target",
     "notes": "the hyper-parameters published for VOT2019, the only ones in the repository",
 }
 # tracking/reproduce_vot2019.sh

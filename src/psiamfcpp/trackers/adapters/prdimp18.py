@@ -15,6 +15,8 @@ FACTS = {
     # pytracking/evaluation/tracker.py reads RGB and passes 0-based boxes
     "colour": "rgb",
     "origin": 0,
+    "threads": "torch.set_num_threads and OMP_NUM_THREADS, as given",
+    "seeds": "Python, NumPy, torch: 0 before each target",
     "notes": "parameter/dimp/prdimp18.py; draws augmentations and start boxes at random, hence the seeds",
 }
 

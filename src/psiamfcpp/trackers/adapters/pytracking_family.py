@@ -18,7 +18,10 @@ _UNUSED = ("jpeg4py", "timm", "timm.models", "timm.models.layers")
 class _Absent(types.ModuleType):
     """A module in which every name is a class that nothing is made of."""
 
-    __path__ = []  # type: ignore[var-annotated]
+    def __init__(self, name: str) -> None:
+        super().__init__(name)
+        # a package, so that modules inside of it may be named
+        self.__path__ = []
 
     def __getattr__(self, name: str) -> Any:
         if name.startswith("__"):

@@ -14,6 +14,8 @@ FACTS = {
     # pysot/tracker/siamgat_tracker.py; tools/testTracker.py hands on what OpenCV reads
     "colour": "bgr",
     "origin": 0,
+    "threads": "torch.set_num_threads and OMP_NUM_THREADS, as given",
+    "seeds": "Python, NumPy, torch: 0 before each target",
     "notes": "needs NumPy below 2 (ndarray.ptp); option dataset: whose hyper-parameters, by default UAV123",
 }
 

@@ -15,6 +15,8 @@ FACTS = {
     # tracking/argmax_tracker.py turns what PIL reads to BGR itself; main_trax.py passes TraX boxes as they are
     "colour": "rgb",
     "origin": 0,
+    "threads": "OMP_NUM_THREADS; TensorFlow's own pools are left as they are",
+    "seeds": "Python, NumPy: 0 before each target",
     "notes": "TensorFlow 1.15 and thus Python 3.7 or older; tensorpack at d24a9230, got10k-toolkit of pvoigtlaender",
 }
 

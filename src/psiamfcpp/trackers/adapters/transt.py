@@ -15,6 +15,8 @@ FACTS = {
     # pysot_toolkit/test.py converts what OpenCV reads to RGB and passes 0-based boxes
     "colour": "rgb",
     "origin": 0,
+    "threads": "torch.set_num_threads and OMP_NUM_THREADS, as given",
+    "seeds": "Python, NumPy, torch: 0 before each target",
     "notes": "the published window penalty of 0.49",
 }
 

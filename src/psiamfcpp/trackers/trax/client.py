@@ -70,6 +70,11 @@ def open_trax(
     )
 
 
+def open_tracker(name: str, options: Mapping[str, str]) -> TraxTracker:
+    """Open ``trax:COMMAND``; the only option is ``threads``."""
+    return open_trax(name, threads=int(options["threads"]) if "threads" in options else None)
+
+
 def trax_name(command: str) -> str:
     """Return the short name of a worker: the stem of the first file among its arguments, or of the program.
 
