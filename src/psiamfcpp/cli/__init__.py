@@ -26,6 +26,8 @@ COMMANDS = {
     "evaluate": "run a tracker over a benchmark, or a folder of sequences, and score it",
     "score": "score boxes that trackers left behind, without the frames",
     "report": "set trackers side by side on one page, with tables, plots and frames",
+    "trax": "serve a tracker to vot-toolkit, or any other TraX client",
+    "trackers": "list the trackers, and what is missing for each",
     "datasets": "list the benchmarks, where to get them, and what of them is there",
     "train": "train a network, or fine-tune one",
     "rank": "average rank of each filter's map, as a table to plan pruning with",

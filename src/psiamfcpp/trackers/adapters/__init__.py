@@ -1,0 +1,1 @@
+"""Published deep trackers, run by their own code in their own interpreter."""

@@ -1,0 +1,39 @@
+"""HiFT (Cao et al., "HiFT: Hierarchical Feature Transformer for Aerial Tracking", ICCV 2021) as a TraX worker."""
+
+from typing import Any
+
+from trax_worker import PysotStyle, Setup, main
+
+FACTS = {
+    "name": "HiFT",
+    "repository": "https://github.com/vision4robotics/HiFT",
+    "commit": "1ceadcea00af8d9c81997c4b335156680c345f35",
+    "licence": "none stated",
+    "weights": "first.pth of the repository's README",
+    "modules": ["torch", "cv2", "yacs", "yaml"],
+    # pysot/tracker/hift_tracker.py; tools/test.py hands on what OpenCV reads
+    "colour": "bgr",
+    "origin": 0,
+    "threads": "torch.set_num_threads and OMP_NUM_THREADS, as given",
+    "seeds": "Python, NumPy, torch: 0 before each target",
+    "notes": "the hyper-parameters of experiments/config.yaml",
+}
+
+
+def build(setup: Setup) -> Any:
+    """Return the tracker of tools/test.py."""
+    from pysot.core.config import cfg
+    from pysot.models.model_builder import ModelBuilder
+    from pysot.tracker.hift_tracker import HiFTTracker
+    from pysot.utils.model_load import load_pretrain
+
+    cfg.merge_from_file("experiments/config.yaml")
+    cfg.CUDA = setup.device == "cuda"
+    model = ModelBuilder()
+    if setup.weights:
+        model = load_pretrain(model, setup.weights)
+    return PysotStyle(HiFTTracker(model.cuda().eval()))
+
+
+if __name__ == "__main__":
+    main(FACTS, build)
