@@ -54,7 +54,7 @@ def full_plane(half: Spectrum, columns: int) -> Spectrum:
 def offsets(n: int) -> FloatArray:
     """Signed distance of each index from index 0 on a ring of ``n``; also the frequencies of a transform."""
     left = (n - 1) // 2
-    return (np.arange(n) + left) % n - float(left)
+    return np.mod(np.arange(n, dtype=np.float64) + left, n) - left
 
 
 def label(size: Size, sigma: float, along: Callable[[int], FloatArray] = offsets) -> FloatArray:
@@ -133,26 +133,21 @@ def newton_peak(spectra: Spectrum, iterations: int) -> tuple[FloatArray, int, fl
     return shift, best, float(values[best])
 
 
-def resize_spectrum(spectrum: Spectrum, size: tuple[int, ...]) -> Spectrum:
-    """Spectrum of a map on a finer or coarser grid: lowest frequencies kept, values kept (fDSST, section 3.3).
+def irfft2_finer(half: Spectrum, size: Size, factor: int) -> Real:
+    """Real maps of half spectra, on a grid finer by a whole factor (fDSST, section 3.3).
 
     Args:
-        spectrum: full, with as many axes as ``size``.
-        size: new length of each axis.
+        half: of maps of ``size``; at even sizes the coefficient at half the sampling rate is dropped, as in the code.
+        size: rows and columns of the coarse grid.
+        factor: fine cells per coarse cell and axis.
     """
-    for axis, n in enumerate(size):
-        old = spectrum.shape[axis]
-        kept = min(old, n)
-        shape = list(spectrum.shape)
-        shape[axis] = n
-        out = np.zeros(shape, spectrum.dtype)
-        source, target = np.moveaxis(spectrum, axis, 0), np.moveaxis(out, axis, 0)
-        front, back = (kept + 1) // 2, (kept - 1) // 2
-        target[:front] = source[:front]
-        if back:
-            target[-back:] = source[-back:]
-        spectrum = out * (n / old)
-    return spectrum
+    (rows, columns), front, back = size, (size[0] + 1) // 2, (size[0] - 1) // 2
+    wide = np.zeros((*half.shape[:-2], rows * factor, columns * factor // 2 + 1), half.dtype)
+    kept = (columns + 1) // 2
+    wide[..., :front, :kept] = half[..., :front, :kept]
+    if back:
+        wide[..., -back:, :kept] = half[..., -back:, :kept]
+    return irfft2(wide, (rows * factor, columns * factor)) * half.real.dtype.type(factor**2)
 
 
 def phase_shift(size: Size, shift: FloatArray) -> Spectrum:
