@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 import pytest
 import scipy.fft
@@ -111,7 +113,7 @@ def test_energy_outside_the_mask_falls_with_every_iteration(transform):
         scheme = admm.Scheme(schedule[:iterations], admm.constrained(mask, 0.01), transform)
         f = space_of(admm.solve(x, transform.forward(gaussian()), scheme, CELLS), transform)
         outside.append(np.sqrt((f[:, ~mask] ** 2).sum() / (f**2).sum()))
-    assert all(later < earlier for earlier, later in zip(outside, outside[1:], strict=False))
+    assert all(later < earlier for earlier, later in itertools.pairwise(outside))
     assert outside[-1] < 0.01
 
 

@@ -12,7 +12,6 @@ from psiamfcpp.geometry import Box, Image
 from psiamfcpp.trackers.dcf import admm, fourier
 from psiamfcpp.trackers.dcf.features import fhog
 from psiamfcpp.trackers.dcf.geometry import (
-    Pixels,
     clamp_scale,
     is_grey,
     position_and_size,
@@ -57,7 +56,7 @@ class Bacf:
         steps = np.arange(c.number_of_scales) - (c.number_of_scales - 1) // 2
         self._factors = c.scale_step ** steps.astype(float)
 
-        self._grey = is_grey(frame)
+        self._features = (lambda patch, cell: fhog(patch[..., 2], cell)) if is_grey(frame) else fhog
         self._cosine = fourier.hann2(w.cells).astype(np.float32)
         self._label = fourier.rfft2(w.label(c.output_sigma_factor))
         self._scheme = admm.Scheme(
@@ -88,5 +87,4 @@ class Bacf:
         return to_box(self._position - np.floor(size / 2), size), fourier.irfft2(response[best], w.cells)
 
     def _look(self, frame: Image, scales: Any) -> NDArray[np.complex64]:
-        pixels: Pixels = frame[..., 2] if self._grey else frame
-        return spectra(pixels, self._position, scales, self._window, fhog, self._cosine)
+        return spectra(frame, self._position, scales, self._window, self._features, self._cosine)

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from psiamfcpp.geometry import Box, Image
 from psiamfcpp.trackers.dcf import admm, fourier
-from psiamfcpp.trackers.dcf.features import grey_hog_names
 from psiamfcpp.trackers.dcf.geometry import (
     clamp_scale,
     is_grey,
@@ -19,7 +18,7 @@ from psiamfcpp.trackers.dcf.geometry import (
     scale_limits,
     to_box,
 )
-from psiamfcpp.trackers.dcf.window import clamped_area_window, responses, spectra
+from psiamfcpp.trackers.dcf.window import clamped_area_window, grey_hog_names_of, responses, spectra
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,7 +57,7 @@ class Strcf:
         steps = np.arange(c.number_of_scales) - (c.number_of_scales - 1) // 2
         self._factors = c.scale_step ** steps.astype(float)
 
-        self._grey = is_grey(frame)
+        self._features = grey_hog_names_of(is_grey(frame))
         self._cosine = fourier.hann2(w.cells).astype(np.float32)
         self._label = fourier.rfft2(w.label(c.output_sigma_factor))
         inside = admm.rectangle(w.cells, w.small)
@@ -90,11 +89,4 @@ class Strcf:
         return box, fourier.irfft2(response[best], w.cells)
 
     def _look(self, frame: Image, scales: Any) -> NDArray[np.complex64]:
-        position = round_half_away(self._position)
-        if self._grey:
-            return spectra(frame[..., 2], position, scales, self._window, _grey_hog, self._cosine)
-        return spectra(frame, position, scales, self._window, grey_hog_names, self._cosine)
-
-
-def _grey_hog(patch: NDArray[Any], cell: int) -> NDArray[np.float32]:
-    return grey_hog_names(patch, cell, colour=False)
+        return spectra(frame, round_half_away(self._position), scales, self._window, self._features, self._cosine)

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from psiamfcpp.geometry import FloatArray
 from psiamfcpp.trackers.dcf import fourier
+from psiamfcpp.trackers.dcf.features import grey_hog_names
 from psiamfcpp.trackers.dcf.geometry import Pixels, Size, crop, resize_auto, round_half_away, whole
 
 Features = Callable[[Pixels, int], NDArray[np.float32]]
@@ -87,6 +88,13 @@ def clamped_area_window(size: FloatArray, search_area_scale: float, cell: int, m
 def _multiple(side: float, cell: int) -> int:
     """The side rounded to a multiple of the cell, at least three cells."""
     return max(int(round_half_away(side / cell)), 3) * cell
+
+
+def grey_hog_names_of(grey: bool) -> Features:
+    """Feature function of STRCF, ARCF-HC and AutoTrack: 42 channels, 32 in a grey sequence."""
+    if not grey:
+        return grey_hog_names
+    return lambda patch, cell: grey_hog_names(patch[..., 2], cell, colour=False)
 
 
 def spectra(
