@@ -88,9 +88,7 @@ def compare(name: str, sequence: Sequence, theirs: FloatArray | None) -> Compari
     identical = len(same) if same.all() else int(np.argmin(same))
     head = slice(1, FIRST_FRAMES + 1)
     distance = float(np.median(centre_error(boxes[head], theirs[head])))
-    return Comparison(
-        len(boxes), identical - 1, int(same[head].sum()), distance, figures(boxes), figures(theirs), fps
-    )
+    return Comparison(len(boxes), identical - 1, int(same[head].sum()), distance, figures(boxes), figures(theirs), fps)
 
 
 def main(root: Path, peers: Path, trackers: tuple[str, ...] = tuple(FOLDERS)) -> None:

@@ -99,7 +99,7 @@ class Fdsst:
         ratio = self._constants.feature_ratio
         patch = resize_auto(crop(frame, self._position, self._window * self._scale), whole(self._window))
         out = np.empty((HOG_CHANNELS + 1, *self._cells), np.float32)
-        fhog(patch, ratio, out[:HOG_CHANNELS])
+        fhog(patch, ratio, out[:HOG_CHANNELS], sse=True)
         out[HOG_CHANNELS] = cell_means(grey(patch), ratio) / np.float32(255) - np.float32(0.5)
         return out.reshape(len(out), -1)
 

@@ -29,7 +29,7 @@ def _cells(patch: Pixels, cell: int) -> Size:
     return patch.shape[0] // cell, patch.shape[1] // cell
 
 
-def fhog(patch: Pixels, cell: int = 4, out: Float | None = None) -> Float:
+def fhog(patch: Pixels, cell: int = 4, out: Float | None = None, sse: bool = False) -> Float:
     """Histograms of gradient orientations (Felzenszwalb et al. 2010, section 6), 31 channels.
 
     18 signed orientations, 9 unsigned ones, 4 texture channels. Values: 0-255, but 0-1 for KCF; they differ in flat
@@ -39,21 +39,23 @@ def fhog(patch: Pixels, cell: int = 4, out: Float | None = None) -> Float:
         patch: ``(h, w)`` or ``(h, w, C)``, uint8 or float32.
         cell: side of a cell in pixels.
         out: array ``(31, h // cell, w // cell)`` to write into.
+        sse: take square roots with the eleven bits of the processor that the authors' boxes were made on. All filters
+            do: it decides between near-equal scales.
     """
     if out is None:
         out = np.empty((HOG_CHANNELS, *_cells(patch, cell)), np.float32)
-    fhog_many(patch[None], cell, out[None])
+    fhog_many(patch[None], cell, out[None], sse)
     return out
 
 
-def fhog_many(patches: Pixels, cell: int = 4, out: Float | None = None) -> Float:
+def fhog_many(patches: Pixels, cell: int = 4, out: Float | None = None, sse: bool = False) -> Float:
     """`fhog` of patches ``(n, h, w)`` or ``(n, h, w, C)`` of one size, as ``(n, 31, h // cell, w // cell)``."""
     if patches.ndim == 3:
         patches = patches[..., None]
     if out is None:
         out = np.empty((len(patches), HOG_CHANNELS, *_cells(patches[0], cell)), np.float32)
     if out.size:
-        kernels.fhog(np.ascontiguousarray(patches), kernels.ORIENTATION_BINS, cell, out)
+        kernels.fhog(np.ascontiguousarray(patches), kernels.ORIENTATION_BINS, kernels.ROOTS, sse, cell, out)
     return out
 
 
@@ -110,7 +112,7 @@ def grey_hog_names(patch: Pixels, cell: int = 4, colour: bool = True) -> Float:
     count = 1 + HOG_CHANNELS + (NAME_CHANNELS if colour else 0)
     out = np.empty((count, *_cells(patch, cell)), np.float32)
     out[0] = grey_cells(patch, cell)
-    fhog(patch, cell, out[1 : 1 + HOG_CHANNELS])
+    fhog(patch, cell, out[1 : 1 + HOG_CHANNELS], sse=True)
     if colour:
         colour_names(patch, cell, out[1 + HOG_CHANNELS :])
     return out

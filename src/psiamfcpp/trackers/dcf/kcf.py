@@ -74,7 +74,7 @@ class Kcf:
         patch = _crop_halved(frame, self._position, self._window) if self._halved else None
         if patch is None:
             patch = grey(crop(frame, self._position, self._window))
-        features: Float = fhog(patch.astype(np.float32) / np.float32(255), self._constants.cell_size)
+        features: Float = fhog(patch.astype(np.float32) / np.float32(255), self._constants.cell_size, sse=True)
         features *= self._hann
         return rfft2(features)
 

@@ -10,6 +10,7 @@ import numpy as np
 
 # Steps of the authors' table of orientations: a cosine times 10,000, truncated.
 STEPS = 10_000
+MARGIN = 10
 
 # Where neither __pycache__ nor the user's cache folder can be written, numba refuses to cache: compile every time.
 try:
@@ -24,30 +25,51 @@ _compiled = numba.njit(cache=_CACHE, error_model="numpy", fastmath={"contract", 
 def _orientation_bins() -> np.ndarray:
     """Signed orientation bin by truncated cosine; row 0 for gradients that point down or level, row 1 for up.
 
-    In single precision, as in the original: a gradient straight up or down lies on the edge between two bins.
+    In single precision, as in the original: a gradient straight up or down lies on the edge between two bins. A cosine
+    may exceed 1 by the error of the approximate root.
     """
-    cosine = np.arange(-STEPS, STEPS + 1) / STEPS
+    cosine = np.clip(np.arange(-STEPS - MARGIN, STEPS + MARGIN + 1) / STEPS, -1, 1)
     angle = np.minimum(np.arccos(cosine), np.pi - 1e-6).astype(np.float32)
     per_radian = np.float32(18) / np.float32(2 * np.pi)
     both = np.stack([angle, angle + np.float32(np.pi)])
     return ((both * per_radian + np.float32(0.5)).astype(np.int64) % 18).astype(np.uint8)
 
 
+def _roots() -> np.ndarray:
+    """Inverse root and root of numbers in [1, 4) as the authors' processor approximates them, in 2,048 steps.
+
+    The original takes `rsqrtps` of the squared gradient, and `rcpps` of that. Intel's instructions give the value at
+    the middle of a step, rounded: 1,024 steps in [1, 2) and in [2, 4) for the root, 2,048 in [1, 2) for the reciprocal.
+    """
+
+    def rounded(value: np.ndarray, steps: int) -> np.ndarray:
+        mantissa, exponent = np.frexp(value)
+        return np.ldexp(np.round(mantissa * steps) / steps, exponent)
+
+    middle = 1 + (np.arange(1024) + 0.5) / 1024
+    inverse = rounded(1 / np.sqrt(np.concatenate([middle, 2 * middle])), 8192)
+    mantissa, exponent = np.frexp(inverse)
+    step = 1 + (np.floor((2 * mantissa - 1) * 2048) + 0.5) / 2048
+    return np.stack([inverse, np.ldexp(rounded(1 / step, 4096), 1 - exponent)]).astype(np.float32)
+
+
 ORIENTATION_BINS = _orientation_bins()
+ROOTS = _roots()
 
 
 @_compiled
-def fhog(images, bins, cell, out):  # type: ignore[no-untyped-def]
+def fhog(images, bins, roots, approximate, cell, out):  # type: ignore[no-untyped-def]
     """Compute fHOG of images ``(n, h, w, C)``, uint8 or float32, into ``(n, 31, h // cell, w // cell)`` float32.
 
     Felzenszwalb et al. 2010, section 6, in Dollar's fast form: bilinear in space, no interpolation of orientations.
+    With ``approximate``, square roots are those of `ROOTS`.
     """
     count, height, width, channels = images.shape
     rows, columns = height // cell, width // cell
     used_rows, used_columns = rows * cell, columns * cell
     epsilon = np.float32(1e-4 / (4 * cell**4))
     per_pixel = np.float32(1 / cell**2)
-    half, zero, tiny, cap = np.float32(0.5), np.float32(0), np.float32(1e-10), np.float32(0.2)
+    half, zero, tiny, huge, cap = np.float32(0.5), np.float32(0), np.float32(1e-10), np.float32(1e10), np.float32(0.2)
     # Votes into a grid with a margin, so that those outside need no test.
     votes = np.empty((rows + 2, columns + 2, 18), np.float32)
     signed = np.empty((18, rows, columns), np.float32)
@@ -55,6 +77,8 @@ def fhog(images, bins, cell, out):  # type: ignore[no-untyped-def]
     energy = np.empty((rows, columns), np.float32)
     lines = np.empty((3, channels, width), np.float32)
     best, best_x, best_y = np.empty(width, np.float32), np.empty(width, np.float32), np.empty(width, np.float32)
+    bits, steps, powers = best.view(np.int32), np.empty(width, np.int32), np.empty((2, width), np.int32)
+    scales = powers.view(np.float32)
     place = np.empty(width, np.int64)
     left, right = np.empty(width, np.float32), np.empty(width, np.float32)
     for x in range(used_columns):
@@ -95,13 +119,24 @@ def fhog(images, bins, cell, out):  # type: ignore[no-untyped-def]
             top = int(np.floor(at)) + 1
             low = np.float32(at - np.floor(at))
             high = np.float32(1) - low
-            for x in range(used_columns):
-                best[x] = max(np.sqrt(best[x]), tiny)
-                best_x[x] = best_x[x] / best[x] * np.float32(STEPS)
+            if approximate:
+                for x in range(used_columns):
+                    # the lowest bit of the exponent and ten of the mantissa choose the step, the rest scales it
+                    steps[x] = ((bits[x] >> 13) & 2047) ^ 1024
+                    half_exponent = ((bits[x] >> 23) - 127) >> 1
+                    powers[0, x], powers[1, x] = (127 - half_exponent) << 23, (127 + half_exponent) << 23
+                for x in range(used_columns):
+                    inverse = min(roots[0, steps[x]] * scales[0, x], huge)
+                    best[x] = max(roots[1, steps[x]] * scales[1, x], tiny) if best[x] > zero else tiny
+                    best_x[x] = best_x[x] * inverse * np.float32(STEPS)
+            else:
+                for x in range(used_columns):
+                    best[x] = max(np.sqrt(best[x]), tiny)
+                    best_x[x] = best_x[x] / best[x] * np.float32(STEPS)
             for x in range(used_columns):
                 up_half = 1 if best_y[x] < zero else 0
                 cosine = -best_x[x] if up_half else best_x[x]
-                k = bins[up_half, int(cosine) + STEPS]
+                k = bins[up_half, int(cosine) + STEPS + MARGIN]
                 weight = best[x] * per_pixel
                 weight_left, weight_right, column = weight * left[x], weight * right[x], place[x]
                 votes[top, column, k] += high * weight_left

@@ -51,7 +51,7 @@ def patch_features(image: Image, position: ArrayLike, sizes: FloatArray, model: 
         # the rule of `geometry.resize_auto`, into the place
         rule = cv2.INTER_LINEAR if columns > h else cv2.INTER_AREA
         cv2.resize(around[y : y + h, x : x + w], (columns, rows), dst=patch, interpolation=rule)
-    return fhog_many(patches, CELL).reshape(len(sizes), -1)
+    return fhog_many(patches, CELL, sse=True).reshape(len(sizes), -1)
 
 
 @dataclass(frozen=True)
