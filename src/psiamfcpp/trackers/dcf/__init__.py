@@ -15,7 +15,7 @@ FILTERS: dict[str, tuple[str, str]] = {
     "fdsst": ("fdsst", "Fdsst"),
     "staple-ca": ("staple_ca", "StapleCa"),
     "bacf": ("bacf", "Bacf"),
-    "eco-hc": ("eco", "EcoHc"),
+    "eco-hc": ("eco_hc", "EcoHc"),
     "mcct-h": ("mcct_h", "McctH"),
     "strcf": ("strcf", "Strcf"),
     "arcf-hc": ("arcf_hc", "ArcfHc"),
