@@ -6,6 +6,7 @@ import contextlib
 import ctypes
 import dataclasses
 import json
+import math
 import os
 import re
 import time
@@ -18,6 +19,7 @@ import torch.distributed as dist
 from torch import Tensor, nn
 
 from psiamfcpp.datasets import Sequence
+from psiamfcpp.datasets.frames import FrameStore
 from psiamfcpp.errors import UserError
 from psiamfcpp.models.checkpoint import save
 from psiamfcpp.models.network import SiamFCpp
@@ -25,6 +27,7 @@ from psiamfcpp.training.batches import Batch, numbered_batches
 from psiamfcpp.training.losses import losses
 from psiamfcpp.training.options import LossWeights, RunOptions, TeacherOptions, TrainOptions
 from psiamfcpp.training.pairs import PairSampler
+from psiamfcpp.training.stored import StoredMaps, on_cells, stored_loss
 from psiamfcpp.training.targets import assign
 from psiamfcpp.training.teacher import Teacher, answer, feature_loss, open_teacher, teacher_loss
 from psiamfcpp.training.validation import held_out_batches, pair_score
@@ -63,6 +66,12 @@ class PairLoss(nn.Module):
             if self._taught.teacher_features:
                 parts["features"] = feature_loss(found, wanted)
                 parts["total"] = parts["total"] + self._taught.teacher_features * parts["features"]
+        if batch.said is not None:
+            scores, sides, corners, trust = batch.said
+            size = batch.search.shape[1]
+            stored = on_cells(scores, sides, size, found.maps[0].shape[1])
+            parts["stored"] = stored_loss(found.maps, stored, corners, trust, targets.positive, size)
+            parts["total"] = parts["total"] + self._taught.stored_weight * parts["stored"]
         return parts
 
 
@@ -106,25 +115,34 @@ def train(
         raise UserError(f"run folder {output} cannot be made: {error}") from None
     optimizer = _optimizer(model, options)
     mean = {k: v.detach().clone() for k, v in model.state_dict().items()}
-    start = _resume(output / STATE_FILE, model, mean, optimizer, options)
+    start = _resume(output / STATE_FILE, model, mean, optimizer, options) or run.first_step
+    stored = StoredMaps(Path(options.teacher.stored), options.pairs, options.seed) if options.teacher.stored else None
+    if ranks > 1 and options.schedule.low_every > 1:
+        raise UserError("low-every needs one process: under torchrun, leave it at 1")
     if rank == 0:
         _truncate_log(output / LOG_FILE, start)
 
-    sampler = PairSampler(training, options.pairs, options.seed, int(run.cache_gb * 1e9))
+    store = FrameStore(Path(run.frames) if run.frames else output / "frames")
+    sampler = PairSampler(training, options.pairs, options.seed, int(run.cache_gb * 1e9), store)
     validation = (
-        held_out_batches(held_out, options.pairs, run.validation_pairs, options.batch) if held_out and rank == 0 else []
+        held_out_batches(held_out, options.pairs, run.validation_pairs, options.batch, store)
+        if held_out and rank == 0
+        else []
     )
     module: nn.Module = PairLoss(model, options.losses)
     free: frozenset[str] | None = None
     bf16 = run.bf16 and bf16_pays(device)
+    began = time.perf_counter()
     clock, sums = time.perf_counter(), []
     steps = options.schedule.steps
     for step, batch in enumerate(
-        numbered_batches(sampler, options.batch, start, steps, rank, ranks, run.workers), start=start
+        numbered_batches(sampler, options.batch, start, steps, rank, ranks, run.workers, stored), start=start
     ):
         if options.schedule.free(step) != free:
             free = options.schedule.free(step)
             module = _thaw(model, free, options, teacher, ranks)
+            if run.compile:
+                module.compile()
         for group in optimizer.param_groups:
             group["lr"] = options.schedule.rate(step) * group["factor"]
         with torch.autocast(device.type, torch.bfloat16, enabled=bf16):
@@ -137,7 +155,8 @@ def train(
         sums.append({k: float(v.detach()) for k, v in parts.items()})
 
         done = step + 1
-        if rank == 0 and (done % 50 == 0 or done == steps):
+        over = _over(began, run.max_time, device, ranks)
+        if rank == 0 and (done % 50 == 0 or done == steps or over):
             row: dict[str, Any] = {k: sum(s[k] for s in sums) / len(sums) for k in sums[0]}
             pairs = len(sums) * options.batch * ranks
             row |= {
@@ -152,11 +171,25 @@ def train(
             with (output / LOG_FILE).open("a") as log:
                 log.write(json.dumps(row) + "\n")
             yield row
-        if rank == 0 and (done % run.save_every == 0 or done == steps):
+        if rank == 0 and (done % run.save_every == 0 or done == steps or over):
             _save(output, model, mean, optimizer, done, options)
+        if over:
+            break
     if ranks > 1:
         dist.barrier()
         dist.destroy_process_group()
+
+
+def _over(began: float, minutes: float, device: torch.device, ranks: int) -> bool:
+    """Whether the time given to a run is over; for every process if for one, or some would wait for others."""
+    if minutes == math.inf:
+        return False
+    over = time.perf_counter() - began > 60 * minutes
+    if ranks == 1:
+        return over
+    anyone = torch.tensor(float(over), device=device)
+    dist.all_reduce(anyone, dist.ReduceOp.MAX)
+    return bool(anyone)
 
 
 def bf16_pays(device: torch.device) -> bool:
@@ -282,6 +315,7 @@ def _resume(
     # Runs begun before networks could have teachers, or learn their features, say nothing of them.
     before = json.loads(state["options"])
     before["teacher"] = {**dataclasses.asdict(TeacherOptions()), **before.get("teacher", {})}
+    before["schedule"] = {"low_every": 1, **before["schedule"]}
     if before != json.loads(json.dumps(dataclasses.asdict(options))):
         raise UserError(f"{path} belongs to a run with other options: use another output folder, or remove it")
     if {k: v.shape for k, v in state["model"].items()} != {k: v.shape for k, v in model.state_dict().items()}:

@@ -41,6 +41,8 @@ class Pair:
     """x0, y0, x1, y1 of the target in the search crop, pixels; may lie outside it"""
     present: bool
     """False where the search crop shows another object"""
+    side: float = 0.0
+    """root of the target's area in the template's frame, pixels"""
 
 
 class PairSampler:
@@ -71,7 +73,7 @@ class PairSampler:
             UserError: no sequence has a usable box.
         """
         self.options = options
-        self._seed = seed
+        self.seed = seed
         self._images = ImageCache(cache_bytes, store or FrameStore())
         targets = [t for t in (_Target(s, _usable_rows(s)) for s in sequences) if len(t.rows)]
         if not targets:
@@ -81,7 +83,7 @@ class PairSampler:
 
     def pair(self, index: int) -> Pair:
         """Pair number ``index``."""
-        rng = np.random.default_rng([self._seed, index])
+        rng = np.random.default_rng([self.seed, index])
         kind = self._kinds[0] if len(self._kinds) == 1 or rng.random() < self.options.clip_share else self._kinds[1]
         target = kind.draw(rng)
         first, second = self._rows(target, rng)
@@ -136,7 +138,7 @@ class PairSampler:
             search = augment.photometric(search, rng, strength)
             if rng.random() < 0.08:
                 template, search = augment.grey(template), augment.grey(search)
-        return Pair(template, search, corners, present)
+        return Pair(template, search, corners, present, math.sqrt(float(z_box[2] * z_box[3])))
 
     def _show(self, frame: Frame, to_frame: NDArray[np.float64], size: int, rng: Generator) -> Image:
         """A crop; where much of it lies outside the frame, mostly another one shows there instead of one colour.
