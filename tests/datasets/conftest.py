@@ -5,7 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
+import cv2
+import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 Lay = Callable[..., Path]
 
@@ -24,3 +27,18 @@ def lay(tmp_path: Path) -> Lay:
         return root
 
     return write
+
+
+def write_video(path: Path, frames: int, start: int = 0) -> Path:
+    """A small video whose frame ``k`` is grey at ``10 * (start + k)``."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"mp4v"), 25, (64, 48))
+    for number in range(start, start + frames):
+        writer.write(np.full((48, 64, 3), 10 * number, np.uint8))
+    writer.release()
+    return path
+
+
+def level(image: NDArray[np.uint8]) -> int:
+    """The number that `write_video` wrote into a frame."""
+    return round(float(image.mean()) / 10)

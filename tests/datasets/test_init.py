@@ -15,7 +15,7 @@ def test_read_takes_the_reader_of_the_kind(lay):
 
 
 def test_every_documented_kind_is_known():
-    kinds = {"folder", "stills", "got10k", "coco", "lasot", "imagenet-vid", "trackingnet"}
+    kinds = {"folder", "stills", "got10k", "coco", "lasot", "imagenet-vid", "trackingnet", "clips"}
     assert set(datasets.READERS) == kinds
 
 

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 
 import numpy as np
@@ -54,6 +55,21 @@ def test_more_data_moves_no_clip_to_the_other_side(some: list[str], more: list[s
     after = split([clip(name) for name in dict.fromkeys([*more, *some])], every)
     assert set(names(before[0])) <= set(names(after[0]))
     assert set(names(before[1])) <= set(names(after[1]))
+
+
+def test_what_is_cut_from_one_video_stays_together():
+    # CRC-32 of road is 3 more than a multiple of 4, that of car1 a multiple; so the numbers behind count for nothing.
+    clips = [clip(f"{name}_{number}") for name in ("road", "car1") for number in (0, 120, 240)]
+    tracks = [dataclasses.replace(clip(f"car1_0_t{track}"), clip="car1_0") for track in range(3)]
+    training, held_out = split([*clips, *tracks], 4)
+    assert names(training) == ["road_0", "road_120", "road_240"]
+    assert names(held_out) == ["car1_0", "car1_120", "car1_240", "car1_0_t0", "car1_0_t1", "car1_0_t2"]
+
+
+@given(st.text(max_size=6), st.integers(0, 10**6), st.integers(0, 10**6), st.integers(2, 5))
+def test_numbers_at_the_end_of_a_name_move_nothing(name: str, one: int, two: int, every: int):
+    sides = [len(split([clip(f"{name}_{number}")], every)[1]) for number in (one, two)]
+    assert sides[0] == sides[1]
 
 
 def test_the_order_stays():

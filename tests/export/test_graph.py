@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
-from tests.models.conftest import UNEVEN, randomize
 
 from psiamfcpp.export.crops import Pair, rendered, sample
 from psiamfcpp.export.graph import Ranges, search_graph, template_graph
@@ -23,9 +23,9 @@ READERS = architecture(DEFAULT).readers
 
 
 @pytest.fixture(scope="module")
-def network() -> SiamFCpp:
+def network(make_network: Callable[..., SiamFCpp]) -> SiamFCpp:
     # rounded as shipped checkpoints are, which the graphs store without loss
-    return randomize(SiamFCpp(ModelSpec(widths=UNEVEN)), 3).half().float()
+    return make_network(3).half().float()
 
 
 @pytest.fixture(scope="module")
@@ -71,9 +71,10 @@ def test_float_graphs_compute_the_network_with_folded_batchnorm(network: SiamFCp
     assert_allclose(boxes, expected[1], rtol=1e-3, atol=0.02)
 
 
-def test_half_precision_weights_lose_nothing_in_the_graph() -> None:
-    graph_weights = layers(randomize(SiamFCpp(ModelSpec(widths=UNEVEN)).half().float(), 3))
-    model = template_graph(ModelSpec(widths=UNEVEN), graph_weights, Ranges())
+def test_half_precision_weights_lose_nothing_in_the_graph(make_network: Callable[..., SiamFCpp]) -> None:
+    unrounded = make_network(3)
+    graph_weights = layers(unrounded)
+    model = template_graph(unrounded.spec, graph_weights, Ranges())
     stored = {t.name: onnx.numpy_helper.to_array(t) for t in model.graph.initializer}
     name = "backbone.conv3"
     half = graph_weights[name].weight.astype(np.float16).astype(np.float32)
@@ -131,9 +132,9 @@ def test_kernels_far_from_those_of_the_calibration_keep_their_eight_bits(
 
 def test_uneven_widths_are_filled_up_with_filters_of_zeros(network: SiamFCpp) -> None:
     filled = layers(network)
-    assert set(READERS) <= set(filled) and any(width % 4 for width in UNEVEN.values())
+    assert set(READERS) <= set(filled) and any(width % 4 for width in network.spec.widths.values())
     for name, after in READERS.items():
-        width, own = UNEVEN[name], filled[name]
+        width, own = network.spec.widths[name], filled[name]
         assert len(own.bias) == -(-width // 4) * 4
         assert not own.weight[width:].any() and not own.bias[width:].any()
         assert all(filled[reader].weight.shape[1] == len(own.bias) for reader in after)

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import torch
 from numpy.testing import assert_allclose
+from psiamfcpp.video.demo_clip import render
 
 from psiamfcpp import UserError
 from psiamfcpp.crop import mean_colour, target_crop
@@ -18,7 +19,6 @@ from psiamfcpp.models.network import ConvBlock
 from psiamfcpp.runtime import open_engine, torch_engine
 from psiamfcpp.runtime.device import Device
 from psiamfcpp.runtime.torch_engine import TorchEngine, in_half, torch_device
-from psiamfcpp.video.demo_clip import render
 
 
 @pytest.fixture(autouse=True)

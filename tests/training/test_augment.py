@@ -111,3 +111,22 @@ def test_a_transplanted_target_keeps_its_middle_and_loses_its_surroundings() -> 
 def test_a_target_outside_the_crop_leaves_the_backdrop() -> None:
     image, backdrop = np.full((60, 60, 3), 200, np.uint8), np.full((60, 60, 3), 20, np.uint8)
     assert (augment.transplant(image, (200, 200, 240, 240), backdrop) == 20).all()
+
+
+@pytest.mark.parametrize("corners", [(30, 40, 70, 60), (-20, 10, 30, 90), (80, 80, 130, 99), (49, 49, 50, 50)])
+def test_a_transplanted_target_changes_nothing_far_from_its_box(corners) -> None:
+    image, backdrop = np.full((100, 100, 3), 200, np.uint8), np.full((100, 100, 3), 20, np.uint8)
+    rows, columns = np.nonzero((augment.transplant(image, corners, backdrop) != backdrop).any(axis=2))
+    reach = 0.05 * (corners[2] - corners[0] + corners[3] - corners[1]) * 4 + 6
+    assert len(rows)
+    assert columns.min() >= corners[0] - reach and columns.max() <= corners[2] + reach
+    assert rows.min() >= corners[1] - reach and rows.max() <= corners[3] + reach
+    assert (backdrop == 20).all()
+
+
+def test_noise_has_the_wanted_spread_and_no_bias(image) -> None:
+    middling = np.full((300, 300, 3), 128, np.uint8)
+    noises = [augment._noise(middling, np.random.default_rng(seed)).astype(float) - 128 for seed in range(30)]
+    spreads = [noise.std() for noise in noises]
+    assert min(spreads) > 1.9 and max(spreads) < 12.1
+    assert abs(np.mean(noises)) < 0.2

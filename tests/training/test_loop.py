@@ -9,11 +9,13 @@ from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
 
+import cv2
 import pytest
 import torch
 from torch import Tensor
 
 from psiamfcpp.datasets import Sequence
+from psiamfcpp.datasets.frames import video_frames
 from psiamfcpp.errors import UserError
 from psiamfcpp.models import SiamFCpp, load
 from psiamfcpp.models.checkpoint import read
@@ -342,3 +344,54 @@ def test_the_loss_is_that_of_the_batch(scenes: list[Sequence]):
     with torch.no_grad():
         parts = module(batch)
     assert parts["total"].item() == pytest.approx((parts["cls"] + parts["centerness"]).item())
+
+
+def test_low_layers_stand_still_between_their_steps(start: Start, tmp_path: Path):
+    chosen = dataclasses.replace(options(3, ema=0.0), schedule=dataclasses.replace(options(3).schedule, low_every=2))
+    list(start(chosen))
+    ends = []
+    for _ in range(3):
+        list(start(chosen, folder="stepwise", max_time=1e-9))
+        ends.append(weights(tmp_path / "stepwise"))
+    for name, moves in (("backbone.conv1.conv.weight", [False, True]), ("backbone.conv3.conv.weight", [True, True])):
+        assert [not torch.equal(ends[k][name], ends[k + 1][name]) for k in (0, 1)] == moves
+    assert all(torch.equal(value, ends[2][name]) for name, value in weights(tmp_path / "run").items())
+
+
+def test_a_run_ends_when_its_time_is_over_and_can_be_continued(start: Start, tmp_path: Path):
+    (row,) = start(options(4), max_time=1e-9)
+    assert row["step"] == 1
+    assert torch.load(tmp_path / "run" / "state.pt", weights_only=True)["step"] == 1
+    list(start(options(4)))
+    list(start(options(4), folder="straight"))
+    first, second = (weights(tmp_path / name) for name in ("run", "straight"))
+    assert all(torch.equal(value, second[name]) for name, value in first.items())
+
+
+def test_a_run_goes_on_from_weights_and_step_alone(start: Start, tmp_path: Path):
+    """The pairs and the rate are those of the step; only what the optimizer remembers is new."""
+    chosen = options(6, optimizer="sgd", ema=0.0)
+    list(start(chosen, save_every=1, max_time=1e-9))
+    (row,) = start(chosen, folder="on", model=load(tmp_path / "run" / "model.safetensors"), first_step=1)
+    assert row["step"] == 6
+    list(start(chosen))
+    on, whole = weights(tmp_path / "on"), weights(tmp_path / "run")
+    apart = max(float((on[k] - whole[k]).abs().max() / (whole[k].abs().max() + 1e-9)) for k in on if on[k].ndim == 4)
+    assert 0 < apart < 0.05
+
+
+def test_frames_of_videos_are_kept_in_the_runs_folder(scenes: list[Sequence], tmp_path: Path):
+    path = tmp_path / "clip.mp4"
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"mp4v"), 25, (200, 160))
+    for k in range(6):
+        writer.write(scenes[0].frame(k))
+    writer.release()
+    clip = dataclasses.replace(scenes[0], frames=video_frames(path))
+    list(train(network(), [clip], [clip], tmp_path / "run", options(1), RUN))
+    assert len(list((tmp_path / "run" / "frames").glob("clip-*/*.jpg"))) == 6
+    list(
+        train(
+            network(), [clip], [], tmp_path / "other", options(1), dataclasses.replace(RUN, frames=str(tmp_path / "f"))
+        )
+    )
+    assert len(list((tmp_path / "f").glob("clip-*/*.jpg"))) == 6

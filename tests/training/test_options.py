@@ -3,7 +3,7 @@ from __future__ import annotations
 import pytest
 
 from psiamfcpp.errors import UserError
-from psiamfcpp.training.options import Schedule
+from psiamfcpp.training.options import RunOptions, Schedule
 
 
 @pytest.mark.parametrize(
@@ -65,3 +65,21 @@ def test_unfreeze_names_what_is_wrong(unfreeze: dict[str, float]):
 def test_steps_and_rate_are_above_zero(values):
     with pytest.raises(UserError, match="must be above 0"):
         Schedule(**values)
+
+
+@pytest.mark.parametrize(
+    ("step", "layers"), [(0, {"conv1", "conv5"}), (1, {"conv5"}), (2, {"conv5"}), (3, {"conv1", "conv5"})]
+)
+def test_low_layers_on_one_step_in_so_many(step: int, layers: set[str]):
+    assert Schedule(unfreeze={"conv1": 0.0, "conv5": 0.0}, low_every=3).free(step) == layers
+
+
+def test_low_layers_at_least_on_every_step():
+    with pytest.raises(UserError, match="low-every is 0"):
+        Schedule(low_every=0)
+
+
+@pytest.mark.parametrize("minutes", [0.0, -1.0, float("nan")])
+def test_max_time_is_above_zero(minutes: float):
+    with pytest.raises(UserError, match="max-time"):
+        RunOptions(max_time=minutes)

@@ -6,6 +6,7 @@ import math
 from collections import Counter
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from hypothesis import given
@@ -13,6 +14,7 @@ from hypothesis import strategies as st
 
 from psiamfcpp.crop import crop, mean_colour, warp
 from psiamfcpp.datasets import Sequence
+from psiamfcpp.datasets.frames import FrameStore, video_frames
 from psiamfcpp.errors import UserError
 from psiamfcpp.images import read_image
 from psiamfcpp.training.options import PairOptions
@@ -378,14 +380,16 @@ def is_held(cache: ImageCache, path: Path) -> bool:
 
 
 def test_cached_pictures_are_those_of_the_files(three: list[Path]):
-    cache = ImageCache(1000)
+    cache = ImageCache(1000, FrameStore())
     for path in three * 2:
-        assert np.array_equal(cache.get(path), read_image(path))
+        image, fill = cache.get(path)
+        assert np.array_equal(image, read_image(path))
+        assert fill == mean_colour(image)
 
 
 def test_the_cache_drops_what_was_unused_for_longest(three: list[Path]):
     a, b, c = three
-    cache = ImageCache(60)
+    cache = ImageCache(60, FrameStore())
     for path in (a, b, a, c):
         cache.get(path)
     assert [is_held(cache, path) for path in (a, b, c)] == [True, False, True]
@@ -393,7 +397,43 @@ def test_the_cache_drops_what_was_unused_for_longest(three: list[Path]):
 
 @pytest.mark.parametrize(("limit", "held"), [(0, 0), (29, 0), (30, 1), (59, 1), (60, 2), (90, 3), (1000, 3)])
 def test_the_cache_keeps_to_its_limit(three: list[Path], limit: int, held: int):
-    cache = ImageCache(limit)
+    cache = ImageCache(limit, FrameStore())
     for path in three:
-        assert np.array_equal(cache.get(path), read_image(path))
+        assert np.array_equal(cache.get(path)[0], read_image(path))
     assert sum(is_held(cache, path) for path in three) == held
+
+
+# ---- clips with several tracks
+
+
+def test_a_negative_pair_of_a_clip_looks_at_another_track_of_the_same_frame(draw):
+    places = [((20.0, 60.0, 30.0, 30.0), colour(0)), ((130.0, 60.0, 30.0, 30.0), colour(4))]
+    one = draw(places, places, places, source="road")
+    nothing = [np.nan] * 4
+    two = dataclasses.replace(one, name="two", boxes=np.array([nothing, places[1][0], nothing]))
+    far = draw([((80.0, 60.0, 30.0, 30.0), colour(8))] * 1, [((80.0, 60.0, 30.0, 30.0), colour(8))], source="road")
+    options = dataclasses.replace(PLAIN, negatives=1.0, max_gap=0, shift=0.0)
+    sampler = PairSampler([one, two, far], options, cache_bytes=CACHE)
+    beside = 0
+    for pair in (sampler.pair(i) for i in range(120)):
+        if number_of(pair) == 4:
+            middle = pair.search[119, 119].tolist()
+            beside += pair.present
+            assert coloured(np.array([[middle]]), colour(0)).any() == pair.present
+    assert beside > 5
+
+
+def test_pairs_of_a_video_are_those_of_its_frames(tmp_path: Path, draw):
+    """The same boxes on frames of a video and on the same frames as images: the crops differ by compression alone."""
+    target = (80.0, 60.0, 40.0, 40.0)
+    images = draw(*[[(target, colour(0))]] * 4)
+    writer = cv2.VideoWriter(str(tmp_path / "clip.mp4"), cv2.VideoWriter.fourcc(*"mp4v"), 25, (200, 160))
+    for k in range(4):
+        writer.write(images.frame(k))
+    writer.release()
+    video = dataclasses.replace(images, frames=video_frames(tmp_path / "clip.mp4"))
+    store = FrameStore(tmp_path / "store")
+    for i in range(6):
+        a, b = PairSampler([images], PLAIN).pair(i), PairSampler([video], PLAIN, store=store).pair(i)
+        assert a.corners == b.corners
+        assert np.abs(a.search.astype(int) - b.search).mean() < 12

@@ -14,7 +14,6 @@ from psiamfcpp.demo.clip import render
 from psiamfcpp.errors import UserError
 from psiamfcpp.evaluation import speed
 from psiamfcpp.geometry import Box, Image
-from psiamfcpp.images import read_image
 from psiamfcpp.runtime import ENGINES, runs, usable_cores
 from psiamfcpp.runtime.graph_file import precision
 from psiamfcpp.runtime.opening import forms
@@ -112,7 +111,7 @@ def _shots(sequence: Path | None, frames: int) -> tuple[list[Image], Box]:
     if len(found) <= frames:
         raise UserError(f"{sequence} holds {len(found)} frames: --frames {frames} needs one more than that")
     x, y, w, h = (float(v) for v in found.boxes[0])
-    return [read_image(path) for path in found.frames[: frames + 1]], (x, y, w, h)
+    return [found.frame(i) for i in range(frames + 1)], (x, y, w, h)
 
 
 def _print(rows: list[dict[str, Any]], facts: dict[str, Any]) -> None:

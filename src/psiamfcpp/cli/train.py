@@ -20,7 +20,7 @@ def train(
     output: Annotated[Path, tyro.conf.arg(aliases=["-o"])],
     options: TrainOptions = TrainOptions(),  # noqa: B008 - frozen
     run: RunOptions = RunOptions(),  # noqa: B008 - frozen
-    held_out_every: int = 8,
+    held_out_every: int = 10,
     note: str = "",
 ) -> None:
     """Train a network, or continue the run found in the output folder.
@@ -33,7 +33,7 @@ def train(
         output: folder of the run: model.safetensors, state.pt, log.jsonl, curve.png.
         options: what decides the result.
         run: how it is carried out.
-        held_out_every: one clip in so many, chosen by name, is kept out of training to validate with; 0 is none.
+        held_out_every: one video in so many, chosen by name, is kept out of training to validate with; 0 is none.
         note: a line on the data for the model's provenance.
     """
     steps = options.schedule.steps
@@ -57,7 +57,8 @@ def _line(row: dict[str, Any], steps: int) -> str:
     text = (
         f"step {row['step']}/{steps}  loss {row['total']:.3f} (cls {row['cls']:.3f}, centre {row['centerness']:.3f}, "
     )
-    text += f"iou {row['iou']:.3f}" + "".join(f", {k} {row[k]:.3f}" for k in ("teacher", "features") if k in row)
+    taught = (key for key in ("teacher", "features", "stored") if key in row)
+    text += f"iou {row['iou']:.3f}" + "".join(f", {key} {row[key]:.3f}" for key in taught)
     text += f")  {row['pairs_per_s']:.1f} pairs/s"
     if "validation" in row:
         v = row["validation"]

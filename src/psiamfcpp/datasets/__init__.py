@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from psiamfcpp.datasets import coco, folder, got10k, imagenet_vid, lasot, stills, trackingnet
+from psiamfcpp.datasets import clips, coco, folder, got10k, imagenet_vid, lasot, stills, trackingnet
 from psiamfcpp.datasets.benchmarks import BENCHMARKS, Benchmark, BenchmarkName
 from psiamfcpp.datasets.sequence import Sequence
 from psiamfcpp.errors import UserError
@@ -18,6 +18,7 @@ __all__ = ["BENCHMARKS", "READERS", "Benchmark", "BenchmarkName", "Sequence", "n
 
 READERS: dict[str, Callable[[Path], list[Sequence]]] = {
     "folder": folder.read,
+    "clips": clips.read,
     "stills": stills.read,
     "got10k": got10k.read,
     "coco": coco.read,

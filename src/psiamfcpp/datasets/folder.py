@@ -1,4 +1,4 @@
-"""A plain folder of sequences: ``<root>/.../<name>/{img/*, groundtruth_rect.txt}``, at any depth."""
+"""A plain folder of sequences, at any depth: ``<root>/.../<name>/{img/* or video.mp4, groundtruth_rect.txt}``."""
 
 from __future__ import annotations
 
@@ -6,11 +6,15 @@ import re
 from pathlib import Path
 
 from psiamfcpp.datasets.boxes import find_files, read_boxes
+from psiamfcpp.datasets.frames import video_frames
 from psiamfcpp.datasets.sequence import Sequence
 from psiamfcpp.errors import UserError
 from psiamfcpp.images import image_files
 
-LAYOUT = "<root>/.../<sequence>/img/*.jpg and <root>/.../<sequence>/groundtruth_rect.txt (x,y,w,h a frame)"
+LAYOUT = (
+    "<root>/.../<sequence>/img/*.jpg, or video.mp4 in its place, and <root>/.../<sequence>/groundtruth_rect.txt "
+    "(x,y,w,h a frame)"
+)
 
 
 def label_files(root: Path) -> dict[str, Path]:
@@ -41,9 +45,16 @@ def read(root: Path) -> list[Sequence]:
     return [_sequence(truth.parent) for truth in truths]
 
 
+def source_of(name: str) -> str:
+    """Return the collection that a clip's name begins with: what stands before its first ``_`` or digit."""
+    return re.split(r"[_\d]", name, maxsplit=1)[0]
+
+
 def _sequence(folder: Path) -> Sequence:
-    frames, boxes = image_files((folder / "img").glob("*")), read_boxes(folder / "groundtruth_rect.txt")
+    boxes, video = read_boxes(folder / "groundtruth_rect.txt"), folder / "video.mp4"
+    images = image_files((folder / "img").glob("*"))
+    # The frames as they were taken, where both are there.
+    frames = images if images or not video.exists() else video_frames(video)
     if len(frames) != len(boxes):
-        raise UserError(f"sequence {folder} has {len(frames)} images but {len(boxes)} boxes: mend the folder")
-    source = re.split(r"[_\d]", folder.name, maxsplit=1)[0]
-    return Sequence(folder.name, frames, boxes, source)
+        raise UserError(f"sequence {folder} has {len(frames)} images but {len(boxes)} boxes: correct the folder")
+    return Sequence(folder.name, frames, boxes, source_of(folder.name))

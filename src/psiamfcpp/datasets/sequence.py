@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence as Frames
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from psiamfcpp.datasets.frames import Frame, read_frame
 from psiamfcpp.errors import UserError
-from psiamfcpp.geometry import FloatArray
+from psiamfcpp.geometry import FloatArray, Image
 
 
 @dataclass(frozen=True, slots=True)
@@ -17,12 +19,14 @@ class Sequence:
     """One target through the frames of a clip, or one object in a photograph (a single frame)."""
 
     name: str
-    frames: list[Path]
-    """image files, in time order"""
+    frames: Frames[Frame]
+    """where the frames are, in time order; `frame` reads one"""
     boxes: FloatArray
     """``(n, 4)`` as ``(x, y, w, h)``, pixels, a row a frame; for training NaN where the target is not seen"""
     source: str = ""
     """the collection that it comes from: training samples source by source, so that none drowns the rest"""
+    clip: str = ""
+    """the clip that it is a track of, where a clip has several; empty where the name is the clip's"""
 
     def __len__(self) -> int:
         return len(self.frames)
@@ -36,6 +40,14 @@ class Sequence:
         sides = self.boxes[:, 2:]
         # A comparison with NaN is False.
         return np.flatnonzero(np.isfinite(self.boxes).all(axis=1) & ((sides > 0) & (sides >= min_side)).all(axis=1))
+
+    def frame(self, number: int) -> Image:
+        """Frame ``number``, from 0, as ``(height, width, 3)`` uint8, BGR; frames of a video are cheap in order.
+
+        Raises:
+            UserError: it cannot be read.
+        """
+        return read_frame(self.frames[number])
 
 
 def require(path: Path, layout: str) -> Path:
@@ -53,7 +65,7 @@ def require(path: Path, layout: str) -> Path:
     return path
 
 
-def labelled(name: str, frames: list[Path], boxes: FloatArray, source: str) -> Sequence:
+def labelled(name: str, frames: Frames[Frame], boxes: FloatArray, source: str) -> Sequence:
     """A sequence whose labels stand as published, a row a frame.
 
     Raises:

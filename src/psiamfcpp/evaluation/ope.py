@@ -12,7 +12,6 @@ from psiamfcpp.datasets import Sequence
 from psiamfcpp.errors import UserError
 from psiamfcpp.evaluation.metrics import Scores, mean_scores, score_sequence
 from psiamfcpp.geometry import FloatArray
-from psiamfcpp.images import read_image
 from psiamfcpp.trackers.contract import Tracker
 
 
@@ -52,7 +51,7 @@ def one_pass(tracker: Tracker, sequence: Sequence) -> Pass:
     boxes[start] = sequence.boxes[start]
     for i in range(start, len(sequence)):
         begin = time.perf_counter()
-        frame = read_image(sequence.frames[i])
+        frame = sequence.frame(i)
         decoded = time.perf_counter()
         if i == start:
             tracker.init(frame, sequence.boxes[i])

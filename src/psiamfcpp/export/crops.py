@@ -12,7 +12,6 @@ from psiamfcpp.datasets import Sequence
 from psiamfcpp.demo.clip import render
 from psiamfcpp.errors import UserError
 from psiamfcpp.geometry import Image, centre
-from psiamfcpp.images import read_image
 from psiamfcpp.spec import ModelSpec
 
 # How far, in target sides, and by what factor the place that the tracker looks about is off.
@@ -69,7 +68,7 @@ def _pair(sequence: Sequence, spec: ModelSpec, rng: np.random.Generator) -> Pair
     rows = sequence.usable(_SMALLEST_SIDE)
     first = int(rng.choice(rows))
     later = int(rng.choice(rows[np.abs(rows - first) <= _GAP]))
-    images = (read_image(sequence.frames[row]) for row in (first, later))
+    images = (sequence.frame(row) for row in (first, later))
     return _crops(next(images), sequence.boxes[first], next(images), sequence.boxes[later], spec, rng)
 
 

@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from psiamfcpp.datasets import Sequence
 from psiamfcpp.errors import UserError
 from psiamfcpp.geometry import FloatArray, Image, centre, from_centre, overlap
-from psiamfcpp.images import read_image
 from psiamfcpp.spec import Calibration
 from psiamfcpp.trackers.siamfcpp import Tracker
 from psiamfcpp.trackers.siamfcpp.confidence import confidence
@@ -83,16 +82,16 @@ def gather(tracker: Tracker, sequences: list[Sequence], seed: int = 0) -> Looks:
         frames = sequence.usable(_SMALLEST_SIDE)
         if len(frames) < 2:
             continue
-        tracker.init(read_image(sequence.frames[frames[0]]), sequence.boxes[frames[0]])
+        tracker.init(sequence.frame(frames[0]), sequence.boxes[frames[0]])
         picks = np.unique(np.linspace(1, len(frames) - 1, _FRAMES_A_CLIP).astype(int))
         for pick in picks:
-            image, box = read_image(sequence.frames[frames[pick]]), sequence.boxes[frames[pick]]
+            image, box = sequence.frame(frames[pick]), sequence.boxes[frames[pick]]
             before = _target(sequence.boxes[frames[pick - 1]])
             found, apart = tracker.look(image, before)
             t = found.target
             hit = bool(overlap(from_centre(t.cx, t.cy, t.w, t.h), box) >= _FOUND_OVERLAP)
             rows.append((found.score, apart, hit, False, number))
-            for scene, around in _without(image, box, read_image(other.frames[int(rng.integers(len(other)))]), rng):
+            for scene, around in _without(image, box, other.frame(int(rng.integers(len(other)))), rng):
                 found, apart = tracker.look(scene, around)
                 rows.append((found.score, apart, False, True, number))
     if not rows:

@@ -105,9 +105,10 @@ def _provenance(
 
 
 def _described(options: TrainOptions) -> dict[str, Any]:
-    """The options; a teacher's file is named without its folder, and not at all where there is none."""
+    """The options; a teacher's files are named without their folder, and not at all where there are none."""
     described = dataclasses.asdict(options)
     teacher = described.pop("teacher")
-    if options.teacher.teacher:
-        described["teacher"] = {**teacher, "teacher": Path(options.teacher.teacher).name}
+    if options.teacher.teacher or options.teacher.stored:
+        names = {key: Path(teacher[key]).name for key in ("teacher", "stored")}
+        described["teacher"] = {**teacher, **names}
     return described

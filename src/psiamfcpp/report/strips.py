@@ -12,7 +12,6 @@ from psiamfcpp.errors import UserError
 from psiamfcpp.evaluation.measured import Measured
 from psiamfcpp.evaluation.results import read_result
 from psiamfcpp.geometry import FloatArray, Image
-from psiamfcpp.images import read_image
 from psiamfcpp.report.compare import Comparison
 from psiamfcpp.video.drawing import Colour, draw_status
 
@@ -74,7 +73,7 @@ def _strip(sequence: Sequence, entries: list[Measured], styles: dict[str, tuple[
         # the best last, on top
         drawn = [(sequence.boxes[number], _WHITE), *((boxes[t][number], colours[t]) for t in reversed(boxes))]
         usable = [(box, colour) for box, colour in drawn if np.isfinite(box).all() and (box[2:] > 0).all()]
-        frames[number + 1] = _picture(read_image(sequence.frames[number]), usable)
+        frames[number + 1] = _picture(sequence.frame(number), usable)
     return Strip(sequence.name, list(boxes), frames)
 
 

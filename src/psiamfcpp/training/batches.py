@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import dataclasses
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from typing import cast
 
 import numpy as np
 import torch
@@ -11,6 +13,7 @@ from torch import Tensor
 from torch.utils.data import DataLoader, Dataset
 
 from psiamfcpp.training.pairs import Pair, PairSampler
+from psiamfcpp.training.stored import Said, StoredMaps
 
 
 @dataclass(frozen=True)
@@ -25,6 +28,8 @@ class Batch:
     """``(B, 4)`` float: x0, y0, x1, y1 in the search crop"""
     present: Tensor
     """``(B,)`` bool"""
+    said: tuple[Tensor, Tensor, Tensor, Tensor] | None = None
+    """what a stored teacher says, see `Said`: scores, sides, corners, trust; None without one"""
 
     def template_input(self) -> Tensor:
         """``(B, 3, 127, 127)`` float, channels last in memory."""
@@ -36,37 +41,65 @@ class Batch:
 
     def to(self, device: torch.device) -> Batch:
         """The batch on another device."""
-        return Batch(
-            *(t.to(device, non_blocking=True) for t in (self.template, self.search, self.corners, self.present))
-        )
+        return self._each(lambda tensor: tensor.to(device, non_blocking=True))
+
+    def pin_memory(self) -> Batch:
+        """The batch in memory that a GPU can fetch while it computes; the loader calls this."""
+        return self._each(Tensor.pin_memory)
+
+    def _each(self, change: Callable[[Tensor], Tensor]) -> Batch:
+        said = None if self.said is None else tuple(change(tensor) for tensor in self.said)
+        own = change(self.template), change(self.search), change(self.corners), change(self.present)
+        return Batch(*own, cast("tuple[Tensor, Tensor, Tensor, Tensor] | None", said))
 
 
-def collate(pairs: list[Pair]) -> Batch:
-    """One batch of the given pairs."""
+def collate(pairs: list[Pair], said: list[Said] | None = None) -> Batch:
+    """One batch of the given pairs, with what a stored teacher says of them."""
     return Batch(
         torch.from_numpy(np.stack([p.template for p in pairs])),
         torch.from_numpy(np.stack([p.search for p in pairs])),
         torch.tensor([p.corners for p in pairs], dtype=torch.float32),
         torch.tensor([p.present for p in pairs]),
+        None if said is None else _stacked(said),
     )
 
 
-class _Numbered(Dataset[Pair]):
+def _stacked(said: list[Said]) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    scores, sides, corners, trust = (
+        torch.from_numpy(np.stack([getattr(s, field.name) for s in said])).float() for field in dataclasses.fields(Said)
+    )
+    return scores, sides, corners, trust
+
+
+class _Numbered(Dataset[tuple[Pair, Said | None]]):
     """Pairs by number, for the loader's processes."""
 
-    def __init__(self, sampler: PairSampler):
+    def __init__(self, sampler: PairSampler, stored: StoredMaps | None):
         self._sampler = sampler
+        self._stored = stored
 
-    def __getitem__(self, index: int) -> Pair:
-        return self._sampler.pair(index)
+    def __getitem__(self, index: int) -> tuple[Pair, Said | None]:
+        return self._sampler.pair(index), None if self._stored is None else self._stored.get(index)
+
+
+def _collated(samples: list[tuple[Pair, Said | None]]) -> Batch:
+    said = [s for _, s in samples if s is not None]
+    return collate([pair for pair, _ in samples], said or None)
 
 
 def numbered_batches(
-    sampler: PairSampler, batch: int, start: int, end: int, rank: int = 0, ranks: int = 1, workers: int = 1
+    sampler: PairSampler,
+    batch: int,
+    start: int,
+    end: int,
+    rank: int = 0,
+    ranks: int = 1,
+    workers: int = 1,
+    stored: StoredMaps | None = None,
 ) -> Iterator[Batch]:
     """The batches of steps ``start`` to ``end``, this rank's share of each.
 
-    Step ``s`` uses the pairs ``s * batch * ranks`` and up, parted by rank, whatever step the run began at.
+    Step ``s`` uses the pairs ``s * batch * ranks`` and up, divided by rank, whatever step the run began at.
 
     Args:
         sampler: where pairs come from.
@@ -76,14 +109,16 @@ def numbered_batches(
         rank: number of this process.
         ranks: number of processes.
         workers: loader processes; 0 loads in this one.
+        stored: what a teacher says of the pairs.
     """
     order = [[(step * ranks + rank) * batch + i for i in range(batch)] for step in range(start, end)]
     yield from DataLoader(
-        _Numbered(sampler),
+        _Numbered(sampler, stored),
         batch_sampler=order,
-        collate_fn=collate,
+        collate_fn=_collated,
         num_workers=workers,
         prefetch_factor=4 if workers else None,
+        pin_memory=torch.cuda.is_available(),
         worker_init_fn=_one_thread if workers else None,
         # A forked child can wait for ever on a lock of OpenCV's thread pool.
         multiprocessing_context="spawn" if workers else None,

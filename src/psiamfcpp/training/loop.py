@@ -21,6 +21,7 @@ import torch.distributed as dist
 from torch import Tensor, nn
 
 from psiamfcpp.datasets import Sequence
+from psiamfcpp.datasets.frames import FrameStore
 from psiamfcpp.errors import UserError
 from psiamfcpp.files import write_whole, writing
 from psiamfcpp.machine import has_bf16
@@ -30,6 +31,7 @@ from psiamfcpp.training.batches import Batch, numbered_batches
 from psiamfcpp.training.losses import losses
 from psiamfcpp.training.options import LossWeights, RunOptions, TeacherOptions, TrainOptions
 from psiamfcpp.training.pairs import PairSampler
+from psiamfcpp.training.stored import StoredMaps, on_cells, stored_loss
 from psiamfcpp.training.targets import assign
 from psiamfcpp.training.teacher import Teacher, answer, feature_loss, open_teacher, teacher_loss
 from psiamfcpp.training.validation import held_out_batches, pair_score
@@ -68,6 +70,12 @@ class PairLoss(nn.Module):
             if self._taught.teacher_features:
                 parts["features"] = feature_loss(found, wanted)
                 parts["total"] = parts["total"] + self._taught.teacher_features * parts["features"]
+        if batch.said is not None:
+            scores, sides, corners, trust = batch.said
+            size = batch.search.shape[1]
+            stored = on_cells(scores, sides, size, found.maps[0].shape[1])
+            parts["stored"] = stored_loss(found.maps, stored, corners, trust, targets.positive, size)
+            parts["total"] = parts["total"] + self._taught.stored_weight * parts["stored"]
         return parts
 
 
@@ -111,26 +119,34 @@ def train(
         raise UserError(f"run folder {output} cannot be made: {error}") from None
     optimizer = _optimizer(model, options)
     mean = copy.deepcopy(model)
-    start = _resume(output / STATE_FILE, model, mean, optimizer, options)
+    start = _resume(output / STATE_FILE, model, mean, optimizer, options) or run.first_step
+    stored = StoredMaps(Path(options.teacher.stored), options.pairs, options.seed) if options.teacher.stored else None
+    if ranks > 1 and options.schedule.low_every > 1:
+        raise UserError("low-every needs one process: under torchrun, leave it at 1")
     if rank == 0:
         _truncate_log(output / LOG_FILE, start)
 
-    sampler = PairSampler(training, options.pairs, options.seed, int(run.cache_gb * 1e9))
+    store = FrameStore(Path(run.frames) if run.frames else output / "frames")
+    sampler = PairSampler(training, options.pairs, options.seed, int(run.cache_gb * 1e9), store)
     validation = (
-        held_out_batches(held_out, options.pairs, run.validation_pairs, options.batch) if held_out and rank == 0 else []
+        held_out_batches(held_out, options.pairs, run.validation_pairs, options.batch, store)
+        if held_out and rank == 0
+        else []
     )
     module: nn.Module  # made at the first step, as `free` is not a set of layers before
     free: frozenset[str] | None = None
     bf16 = run.bf16 and bf16_pays(device)
-    clock, count = time.perf_counter(), 0
-    sums: dict[str, Tensor] = {}
+    began = clock = time.perf_counter()
+    count, sums = 0, dict[str, Tensor]()
     steps = options.schedule.steps
     for step, batch in enumerate(
-        numbered_batches(sampler, options.batch, start, steps, rank, ranks, run.workers), start=start
+        numbered_batches(sampler, options.batch, start, steps, rank, ranks, run.workers, stored), start=start
     ):
         if options.schedule.free(step) != free:
             free = options.schedule.free(step)
             module = _thaw(model, free, options, teacher, ranks)
+            if run.compile:
+                module.compile()
         for group in optimizer.param_groups:
             group["lr"] = options.schedule.rate(step) * group["factor"]
         with torch.autocast(device.type, torch.bfloat16, enabled=bf16):
@@ -146,7 +162,8 @@ def train(
             sums[name] = sums.get(name, 0) + value.detach().double()
 
         done = step + 1
-        if rank == 0 and (done % 50 == 0 or done == steps):
+        over = _over(began, run.max_time, device, ranks)
+        if rank == 0 and (done % 50 == 0 or done == steps or over):
             row: dict[str, Any] = {name: float(total) / count for name, total in sums.items()}
             row |= {
                 "step": done,
@@ -159,11 +176,25 @@ def train(
             with writing(output / LOG_FILE), (output / LOG_FILE).open("a") as log:
                 log.write(json.dumps(row) + "\n")
             yield row
-        if rank == 0 and (done % run.save_every == 0 or done == steps):
+        if rank == 0 and (done % run.save_every == 0 or done == steps or over):
             _save(output, model, mean, optimizer, done, options)
+        if over:
+            break
     if ranks > 1:
         dist.barrier()
         dist.destroy_process_group()
+
+
+def _over(began: float, minutes: float, device: torch.device, ranks: int) -> bool:
+    """Whether the time given to a run is over; for every process if for one, or some would wait for others."""
+    if minutes == math.inf:
+        return False
+    over = time.perf_counter() - began > 60 * minutes
+    if ranks == 1:
+        return over
+    anyone = torch.tensor(float(over), device=device)
+    dist.all_reduce(anyone, dist.ReduceOp.MAX)
+    return bool(anyone)
 
 
 def bf16_pays(device: torch.device) -> bool:

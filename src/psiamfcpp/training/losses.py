@@ -40,11 +40,13 @@ def losses(maps: tuple[Tensor, Tensor, Tensor], targets: Targets, weights: LossW
     """
     cls, centerness, distances = maps
     positive, count = targets.positive, targets.positive.sum().clamp(min=1)
-    quality = targets.centerness[positive]
-    overlap_loss = -torch.log(iou(distances[positive], targets.distances[positive]).clamp(min=1e-6))
+    # Masked sums, not masked selection: a GPU would have to report how many cells there are before it goes on.
+    quality = targets.centerness
+    overlap_loss = -torch.log(iou(distances, targets.distances).clamp(min=1e-6))
+    centre_loss = F.binary_cross_entropy_with_logits(centerness, quality, reduction="none")
     parts = {
         "cls": focal_loss(cls, positive, weights.focal_alpha) / count,
-        "centerness": F.binary_cross_entropy_with_logits(centerness[positive], quality, reduction="sum") / count,
+        "centerness": (centre_loss * positive).sum() / count,
         "iou": (overlap_loss * quality).sum() / quality.sum().clamp(min=1e-6),
     }
     parts["total"] = (

@@ -55,12 +55,16 @@ class Schedule:
     """rate of the backbone against that of neck and head"""
     unfreeze: dict[str, float] = field(default_factory=lambda: dict(architecture(DEFAULT).unfreeze))
     """share of the run after which a backbone layer is trained; 1 is never (the authors': 5, 10, 15 of 20 epochs)"""
+    low_every: int = 1
+    """conv1 and conv2, where free, are trained on one step in so many; their gradients cost a third of a step"""
 
     def __post_init__(self) -> None:
         layers = sorted({layer for name in ARCHITECTURES for layer in architecture(name).unfreeze})
         for layer, share in self.unfreeze.items():
             if layer not in layers or not 0 <= share <= 1:
                 raise UserError(f"unfreeze {layer}={share:g}: layers are {', '.join(layers)}, shares lie in 0..1")
+        if self.low_every < 1:
+            raise UserError(f"low-every is {self.low_every}: it must be at least 1")
         if self.steps < 1 or self.lr <= 0:
             raise UserError(f"steps ({self.steps}) and learning rate ({self.lr:g}) must be above 0")
 
@@ -74,7 +78,8 @@ class Schedule:
 
     def free(self, step: int) -> frozenset[str]:
         """Backbone layers that are trained at a step."""
-        return frozenset(layer for layer, share in self.unfreeze.items() if step >= share * self.steps)
+        free = frozenset(layer for layer, share in self.unfreeze.items() if step >= share * self.steps)
+        return free if step % self.low_every == 0 else free - {"conv1", "conv2"}
 
 
 @dataclass(frozen=True)
@@ -102,9 +107,13 @@ class TeacherOptions:
     """weight of the teacher's scores and boxes against the labels' losses"""
     teacher_features: float = 0.0
     """weight of the teacher's backbone features, likewise; the network's must be as many"""
+    stored: str = ""
+    """folder of what another teacher said of this run's pairs, stored beforehand (see docs/training.md)"""
+    stored_weight: float = 1.0
+    """weight of the stored places and boxes against the labels' losses"""
 
     def __post_init__(self) -> None:
-        for name in ("teacher_weight", "teacher_features"):
+        for name in ("teacher_weight", "teacher_features", "stored_weight"):
             if not 0 <= getattr(self, name) < math.inf:
                 raise UserError(f"{name.replace('_', '-')} is {getattr(self, name):g}: it must be a number from 0 up")
         if self.teacher_features and not self.teacher:
@@ -153,13 +162,24 @@ class RunOptions:
     """steps between saved states"""
     validation_pairs: int = 512
     """held-out pairs a validation"""
+    frames: str = ""
+    """folder that keeps the decoded frames of videos; by default, frames in the run's folder"""
+    compile: bool = False
+    """compile the network (torch.compile): worth its minutes on a GPU"""
+    max_time: float = math.inf
+    """minutes after which to save and end, wherever the run is; the same command continues it"""
+    first_step: int = 0
+    """step to begin at where the folder holds no state: to go on from a checkpoint of a run with these options"""
 
     def __post_init__(self) -> None:
         if (
             min(self.validate_every, self.save_every, self.validation_pairs) < 1
             or self.workers < 0
             or self.cache_gb < 0
+            or self.first_step < 0
         ):
             raise UserError(
-                "validate-every, save-every and validation-pairs must be at least 1, workers and cache-gb 0"
+                "validate-every, save-every and validation-pairs must be at least 1, workers, cache-gb and first-step 0"
             )
+        if not self.max_time > 0:
+            raise UserError(f"max-time is {self.max_time:g}: it must be above 0 minutes")

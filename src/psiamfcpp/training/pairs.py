@@ -8,17 +8,17 @@ from __future__ import annotations
 import math
 from collections import OrderedDict, defaultdict
 from dataclasses import dataclass
-from pathlib import Path
 
+import cv2
 import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
-from psiamfcpp.crop import crop, mean_colour, warp
+from psiamfcpp.crop import Colour, crop, mean_colour, warp
 from psiamfcpp.datasets import Sequence
+from psiamfcpp.datasets.frames import Frame, FrameStore
 from psiamfcpp.errors import UserError
 from psiamfcpp.geometry import FloatArray, Image, centre, context_side
-from psiamfcpp.images import read_image
 from psiamfcpp.spec import STRIDE, TEMPLATE_SIZE, score_size
 from psiamfcpp.training import augment
 from psiamfcpp.training.options import PairOptions
@@ -41,6 +41,8 @@ class Pair:
     """x0, y0, x1, y1 of the target in the search crop, pixels; may lie outside it"""
     present: bool
     """False where the search crop shows another object"""
+    side: float = 0.0
+    """root of the target's area in the template's frame, pixels"""
 
 
 class PairSampler:
@@ -50,10 +52,29 @@ class PairSampler:
     drown nobody. Pictures of a source are equally likely, however many objects they hold.
     """
 
-    def __init__(self, sequences: list[Sequence], options: PairOptions, seed: int = 0, cache_bytes: int = 0):
+    def __init__(
+        self,
+        sequences: list[Sequence],
+        options: PairOptions,
+        seed: int = 0,
+        cache_bytes: int = 0,
+        store: FrameStore | None = None,
+    ):
+        """Prepare to draw.
+
+        Args:
+            sequences: what to draw from.
+            options: how to draw.
+            seed: seed of every pair.
+            cache_bytes: decoded images kept in memory, bytes.
+            store: where frames of videos are decoded to; by default a temporary folder.
+
+        Raises:
+            UserError: no sequence has a usable box.
+        """
         self.options = options
-        self._seed = seed
-        self._images = ImageCache(cache_bytes)
+        self.seed = seed
+        self._images = ImageCache(cache_bytes, store or FrameStore())
         targets = [t for t in (_Target(s, _usable_rows(s)) for s in sequences) if len(t.rows)]
         if not targets:
             raise UserError("the training data hold no usable box: check the folders given")
@@ -62,7 +83,7 @@ class PairSampler:
 
     def pair(self, index: int) -> Pair:
         """Pair number ``index``."""
-        rng = np.random.default_rng([self._seed, index])
+        rng = np.random.default_rng([self.seed, index])
         kind = self._kinds[0] if len(self._kinds) == 1 or rng.random() < self.options.clip_share else self._kinds[1]
         target = kind.draw(rng)
         first, second = self._rows(target, rng)
@@ -73,22 +94,24 @@ class PairSampler:
 
     def _rows(self, target: _Target, rng: Generator) -> tuple[int, int]:
         """Frames of the template and of the search crop, at most ``max_gap`` apart."""
-        first = int(rng.choice(target.rows))
-        near = target.rows[np.abs(target.rows - first) <= self.options.max_gap]
-        return first, int(rng.choice(near))
+        rows = target.rows
+        first = _pick(rows, rng)
+        low = np.searchsorted(rows, first - self.options.max_gap)
+        high = np.searchsorted(rows, first + self.options.max_gap, side="right")
+        return first, _pick(rows[low:high], rng)
 
     def _negative(self, kind: _Kind, target: _Target, row: int, rng: Generator) -> tuple[_Target, int, bool]:
         """Where to look instead: at another object of the picture, or at another picture, of the same source or not.
 
         In the first case the target counts as present: it is, though mostly too far off for any cell.
         """
-        neighbours = [t for t in kind.same_picture(target) if t is not target]
+        neighbours = kind.beside(target, row)
         if neighbours and rng.random() < 0.7:
             return neighbours[int(rng.integers(len(neighbours)))], row, True
         for _ in range(10):
             other = kind.draw(rng, target.sequence.source if rng.random() < 0.5 else None)
             if other.sequence.frames[0] != target.sequence.frames[0]:
-                return other, int(rng.choice(other.rows)), False
+                return other, _pick(other.rows, rng), False
         return target, row, True
 
     def _crops(self, target: _Target, first: int, other: _Target, row: int, present: bool, rng: Generator) -> Pair:
@@ -98,11 +121,11 @@ class PairSampler:
         x_frame, x_box = other.at(row)
         flip = -1.0 if rng.random() < 0.5 and strength else 1.0
         z_map = crop_map(z_box, TEMPLATE_SIZE, _template_jitter(strength, flip, rng))
-        template = self._show(self._images.get(z_frame), z_map, TEMPLATE_SIZE, rng)
+        template = self._show(z_frame, z_map, TEMPLATE_SIZE, rng)
         if rng.random() < 0.1 * strength:
             template = augment.transplant(template, box_in_crop(z_box, z_map), self._backdrop(TEMPLATE_SIZE, rng))
         x_map = crop_map(x_box, size, _search_jitter(self.options, target.is_clip, flip, rng))
-        search = self._show(self._images.get(x_frame), x_map, size, rng)
+        search = self._show(x_frame, x_map, size, rng)
         corners = box_in_crop(target.at(row)[1] if present else x_box, x_map)
         if strength:
             if rng.random() < 0.2 * strength:
@@ -115,20 +138,23 @@ class PairSampler:
             search = augment.photometric(search, rng, strength)
             if rng.random() < 0.08:
                 template, search = augment.grey(template), augment.grey(search)
-        return Pair(template, search, corners, present)
+        return Pair(template, search, corners, present, math.sqrt(float(z_box[2] * z_box[3])))
 
-    def _show(self, image: Image, to_frame: NDArray[np.float64], size: int, rng: Generator) -> Image:
-        """A crop; where much of it lies outside the picture, mostly another picture shows there instead of one colour.
+    def _show(self, frame: Frame, to_frame: NDArray[np.float64], size: int, rng: Generator) -> Image:
+        """A crop; where much of it lies outside the frame, mostly another one shows there instead of one colour.
 
         A plain border would teach that whatever has texture is the target.
         """
-        shown = warp(image, to_frame, size, mean_colour(image))
-        if rng.random() >= 0.7 * self.options.augmentation:
+        image, fill = self._images.get(frame)
+        shown = warp(image, to_frame, size, fill)
+        if rng.random() >= 0.7 * self.options.augmentation or _inside(to_frame, size, image.shape):
             return shown
         inside = warp(np.full(image.shape[:2], 255, np.uint8), to_frame, size, (0, 0, 0)) > 127
-        if inside.mean() > 0.85:
+        if np.count_nonzero(inside) > 0.85 * inside.size:
             return shown
-        return np.where(inside[..., None], shown, self._backdrop(size, rng))
+        backdrop = self._backdrop(size, rng)
+        cv2.copyTo(shown, inside.astype(np.uint8), backdrop)
+        return backdrop
 
     def _with_distractor(self, search: Image, corners: Corners, target: _Target, rng: Generator) -> Image:
         """The search crop with one more object in it, half the time of the target's own source; clear of the target."""
@@ -136,24 +162,24 @@ class PairSampler:
         other = kind.draw(rng, target.sequence.source if rng.random() < 0.5 else None)
         if other.sequence.frames[0] == target.sequence.frames[0]:
             return search
-        frame, box = other.at(int(rng.choice(other.rows)))
+        frame, box = other.at(_pick(other.rows, rng))
         size = search.shape[0]
         dx, dy = rng.uniform(-size / 2, size / 2, 2)
         to_frame = crop_map(box, size, Jitter(dx, dy, math.exp(rng.uniform(-0.4, 0.4)), rng.choice([-1.0, 1.0])))
         x0, y0, x1, y1 = place = box_in_crop(box, to_frame)
         if x0 < corners[2] and x1 > corners[0] and y0 < corners[3] and y1 > corners[1]:
             return search
-        image = self._images.get(frame)
-        return augment.transplant(warp(image, to_frame, size, mean_colour(image)), place, search)
+        image, fill = self._images.get(frame)
+        return augment.transplant(warp(image, to_frame, size, fill), place, search)
 
     def _backdrop(self, size: int, rng: Generator) -> Image:
-        """A random square of a random picture."""
+        """A random square of a random frame."""
         scene = self._kinds[int(rng.integers(len(self._kinds)))].draw(rng).sequence
-        image = self._images.get(scene.frames[int(rng.integers(len(scene)))])
+        image, fill = self._images.get(scene.frames[int(rng.integers(len(scene)))])
         height, width = image.shape[:2]
         side = min(height, width) * rng.uniform(0.4, 1.0)
         cx, cy = rng.uniform(side / 2, width - side / 2), rng.uniform(side / 2, height - side / 2)
-        return crop(image, cx, cy, side, size, mean_colour(image))
+        return crop(image, cx, cy, side, size, fill)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -167,35 +193,43 @@ class _Target:
     def is_clip(self) -> bool:
         return len(self.sequence) > 1
 
-    def at(self, row: int) -> tuple[Path, FloatArray]:
+    def at(self, row: int) -> tuple[Frame, FloatArray]:
         """Frame and box of a row."""
         return self.sequence.frames[row], self.sequence.boxes[row]
+
+    def has(self, row: int) -> bool:
+        """Whether a row is usable."""
+        place = int(np.searchsorted(self.rows, row))
+        return place < len(self.rows) and bool(self.rows[place] == row)
 
 
 class _Kind:
     """Clips, or photographs: their sources with the weight of each."""
 
     def __init__(self, targets: list[_Target]):
-        self._pictures: dict[Path, list[_Target]] = defaultdict(list)
+        self._pictures: dict[Frame, list[_Target]] = defaultdict(list)
         for target in targets:
             self._pictures[target.sequence.frames[0]].append(target)
         self._sources: dict[str, list[list[_Target]]] = defaultdict(list)
         for group in self._pictures.values():
             self._sources[group[0].sequence.source].append(group)
         self._names = sorted(self._sources)
-        weights = np.sqrt([len(self._sources[name]) for name in self._names])
-        self._chances = weights / weights.sum()
+        shares = np.sqrt([len(self._sources[name]) for name in self._names]).cumsum()
+        self._up_to = shares / shares[-1]
 
     def draw(self, rng: Generator, source: str | None = None) -> _Target:
         """An object of a picture of a source; of the given source, if there is a picture filed under it."""
-        name = source if source in self._names else self._names[int(rng.choice(len(self._names), p=self._chances))]
-        pictures = self._sources[name]
+        if source not in self._sources:
+            source = self._names[int(np.searchsorted(self._up_to, rng.random(), side="right"))]
+        pictures = self._sources[source]
         picture = pictures[int(rng.integers(len(pictures)))]
         return picture[int(rng.integers(len(picture)))]
 
-    def same_picture(self, target: _Target) -> list[_Target]:
-        """The labelled objects of a photograph; of clips, none, since their frames need not run in step."""
-        return [] if target.is_clip else self._pictures[target.sequence.frames[0]]
+    def beside(self, target: _Target, row: int) -> list[_Target]:
+        """The other labelled objects of the frame that shows a target in a row of its own."""
+        frame = target.sequence.frames[row]
+        others = self._pictures[target.sequence.frames[0]]
+        return [t for t in others if t is not target and t.has(row) and t.sequence.frames[row] == frame]
 
 
 @dataclass(frozen=True)
@@ -267,24 +301,37 @@ def box_in_crop(box: FloatArray, to_frame: NDArray[np.float64]) -> Corners:
 
 
 class ImageCache:
-    """Keeps decoded images up to a number of bytes, dropping those unused for longest."""
+    """Keeps decoded images, with their mean colours, up to a number of bytes, dropping those unused for longest."""
 
-    def __init__(self, limit: int):
+    def __init__(self, limit: int, store: FrameStore):
         self._limit = limit
-        self._held: OrderedDict[Path, Image] = OrderedDict()
+        self._store = store
+        self._held: OrderedDict[Frame, tuple[Image, Colour]] = OrderedDict()
         self._bytes = 0
 
-    def get(self, path: Path) -> Image:
-        """The image of a file, ``(H, W, 3)`` uint8, BGR; not to be written to."""
-        if path in self._held:
-            self._held.move_to_end(path)
-            return self._held[path]
-        image = read_image(path)
-        self._held[path] = image
+    def get(self, frame: Frame) -> tuple[Image, Colour]:
+        """A frame, ``(H, W, 3)`` uint8, BGR, not to be written to; and its mean colour."""
+        if frame in self._held:
+            self._held.move_to_end(frame)
+            return self._held[frame]
+        image = self._store.read(frame)
+        self._held[frame] = found = image, mean_colour(image)
         self._bytes += image.nbytes
         while self._bytes > self._limit and self._held:
-            self._bytes -= self._held.popitem(last=False)[1].nbytes
-        return image
+            self._bytes -= self._held.popitem(last=False)[1][0].nbytes
+        return found
+
+
+def _pick(rows: NDArray[np.intp], rng: Generator) -> int:
+    return int(rows[int(rng.integers(len(rows)))])
+
+
+def _inside(to_frame: NDArray[np.float64], size: int, shape: tuple[int, ...]) -> bool:
+    """Whether a square crop lies wholly inside an image ``(H, W, ...)``: its four corners do."""
+    end = size - 1
+    corners = to_frame @ np.array([[0, end, 0, end], [0, 0, end, end], [1, 1, 1, 1]])
+    height, width = shape[:2]
+    return bool((corners >= 0).all() and (corners[0] <= width - 1).all() and (corners[1] <= height - 1).all())
 
 
 def _usable_rows(sequence: Sequence) -> NDArray[np.intp]:

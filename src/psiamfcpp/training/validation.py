@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 from psiamfcpp.datasets import Sequence
+from psiamfcpp.datasets.frames import FrameStore
 from psiamfcpp.geometry import from_corners, overlap
 from psiamfcpp.models.network import SiamFCpp
 from psiamfcpp.training.batches import Batch, collate
@@ -34,10 +35,12 @@ class PairScore:
     """share of couples of a true and a negative pair in which the true one scores higher; None without negative ones"""
 
 
-def held_out_batches(sequences: list[Sequence], options: PairOptions, count: int, batch: int) -> list[Batch]:
-    """``count`` fixed pairs without augmentation, a fifth of them negative ones."""
+def held_out_batches(
+    sequences: list[Sequence], options: PairOptions, count: int, batch: int, store: FrameStore | None = None
+) -> list[Batch]:
+    """``count`` fixed pairs without augmentation, a fifth of them negative ones; `PairSampler` has the store."""
     plain = dataclasses.replace(options, augmentation=0.0, negatives=0.2)
-    sampler = PairSampler(sequences, plain, seed=1)
+    sampler = PairSampler(sequences, plain, seed=1, store=store)
     return [collate([sampler.pair(i) for i in range(k, min(k + batch, count))]) for k in range(0, count, batch)]
 
 

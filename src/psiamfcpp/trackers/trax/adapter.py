@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from psiamfcpp.errors import UserError
-from psiamfcpp.runtime.engine import usable_cores
+from psiamfcpp.runtime import usable_cores
 from psiamfcpp.trackers.trax.client import FRAME_SECONDS, START_SECONDS, TraxTracker
 
 RANDOM = "random"

@@ -1,0 +1,47 @@
+"""Video clips with several tracks each: ``<root>/*.mp4`` and ``<root>/boxes.csv`` (clip,frame,track,x,y,w,h)."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+import numpy as np
+
+from psiamfcpp.datasets.folder import source_of
+from psiamfcpp.datasets.frames import VideoFrame, video_frames
+from psiamfcpp.datasets.sequence import Sequence, require
+from psiamfcpp.errors import UserError
+from psiamfcpp.geometry import FloatArray
+
+LAYOUT = "<root>/<clip>.mp4 and <root>/boxes.csv with the columns clip,frame,track,x,y,w,h (frames count from 0)"
+
+
+def read(root: Path) -> list[Sequence]:
+    """A sequence a track, in the order of the table; the source is the clip's name up to its first ``_`` or digit.
+
+    A frame without a row has no box: the target is absent there, or not labelled.
+
+    Raises:
+        UserError: the table or a clip is missing, a line is not a box, or a clip ends before a labelled frame.
+    """
+    table = require(root / "boxes.csv", LAYOUT)
+    tracks: dict[tuple[str, str], dict[int, list[float]]] = {}
+    with table.open(newline="") as file:
+        for line, row in enumerate(csv.DictReader(file), start=2):
+            try:
+                boxes = tracks.setdefault((row["clip"], row["track"]), {})
+                boxes[int(row["frame"])] = [float(row[key]) for key in "xywh"]
+            except (KeyError, TypeError, ValueError) as error:
+                problem = f"{table} line {line} is not a labelled box ({error})"
+                raise UserError(f"{problem}; expected layout: {LAYOUT}") from None
+    frames = {clip: video_frames(require(root / f"{clip}.mp4", LAYOUT)) for clip in dict.fromkeys(c for c, _ in tracks)}
+    return [_track(clip, track, frames[clip], boxes) for (clip, track), boxes in tracks.items()]
+
+
+def _track(clip: str, track: str, frames: list[VideoFrame], labelled: dict[int, list[float]]) -> Sequence:
+    boxes: FloatArray = np.full((len(frames), 4), np.nan)
+    for number, box in labelled.items():
+        if not 0 <= number < len(frames):
+            raise UserError(f"clip {clip} has {len(frames)} frames, but a box in frame {number}: fetch it again")
+        boxes[number] = box
+    return Sequence(f"{clip}_t{track}", frames, boxes, source_of(clip), clip)
