@@ -155,6 +155,30 @@ def test_messages_come_when_asked_for(station: Station, number: int, kind: str) 
         assert message.flags == mav.VIDEO_STREAM_STATUS_FLAGS_RUNNING
 
 
+@pytest.mark.parametrize(
+    ("version", "number"),
+    [
+        ("0.1.0", 0x000100),
+        ("0.2.0rc1", 0x000200),
+        ("1.2.3.post4", 0x030201),
+        ("1.2", 0x000201),
+        ("2!3", 3),
+        ("1.0.dev7+local.5", 1),
+        ("2026.11.4", 0x040BFF),
+        ("unknown", 0),
+        ("9" * 5000 + ".1", 0x0001FF),
+    ],
+)
+def test_every_version_has_a_number(
+    control: Control, monkeypatch: pytest.MonkeyPatch, version: str, number: int
+) -> None:
+    monkeypatch.setattr("psiamfcpp.serve.mavlink.camera.__version__", version)
+    link = open_link("udpout:127.0.0.1:9")
+    (message,) = Camera(control, link)._information()
+    link.close()
+    assert message.firmware_version == number
+
+
 def test_older_ways_of_asking_are_understood(station: Station) -> None:
     assert station.ask(mav.MAV_CMD_REQUEST_CAMERA_INFORMATION, 1) == mav.MAV_RESULT_ACCEPTED
     station.wait("CAMERA_INFORMATION")

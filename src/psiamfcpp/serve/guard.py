@@ -13,11 +13,18 @@ from urllib.parse import urlsplit
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from psiamfcpp.errors import UserError
+from psiamfcpp.serve.limits import Buckets
 
 COOKIE = "psiamfcpp_token"
 MAX_BODY = 16 * 1024
 _BODY_S = 10.0
+# Guesses at the token, by address: a hand that mistypes needs no more.
+_GUESSES_PER_S, _GUESSES_AT_ONCE = 0.5, 10.0
 SHORTEST_TOKEN = 12
+REFUSALS = {
+    401: "a token is needed: send it as 'Authorization: Bearer TOKEN'",
+    429: "too many wrong tokens: wait some seconds",
+}
 # What must be had before a token can be given.
 _OPEN_PATHS = {"/", "/page.css", "/page.js", "/api/login"}
 
@@ -50,6 +57,7 @@ class Guard:
     def __init__(self, app: ASGIApp, token: str | None):
         self._app = app
         self._token = None if token is None else hashlib.sha256(token.encode()).digest()
+        self._guesses = Buckets(_GUESSES_PER_S, _GUESSES_AT_ONCE)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Serve a request, or refuse it."""
@@ -71,6 +79,24 @@ class Guard:
         given = hashlib.sha256(token.encode("utf-8", "replace")).digest()
         return self._token is None or hmac.compare_digest(given, self._token)
 
+    def login(self, token: str, address: str) -> int:
+        """Judge an attempt to log in.
+
+        Args:
+            token: what was given.
+            address: where it came from. After ten wrong tokens one more is looked at every two seconds, right or
+                wrong, so that guessing takes for ever; other addresses are not held up.
+
+        Returns:
+            200, 401 for a wrong token, or 429.
+        """
+        if self._guesses.empty(address):
+            return 429
+        return 200 if self.knows(token) else self._wrong(address)
+
+    def _wrong(self, address: str) -> int:
+        return 401 if self._guesses.take(address) else 429
+
     def _refusal(self, scope: Scope, headers: dict[bytes, str]) -> tuple[int, str] | None:
         host = headers.get(b"host", "")
         # A foreign page whose name was made to lead here still sends its own name.
@@ -86,9 +112,17 @@ class Guard:
             return 413, f"a request may hold {MAX_BODY} bytes"
         if self._token is None or scope["path"] in _OPEN_PATHS:
             return None
-        if not self.knows(_token(headers)):
-            return 401, "a token is needed: send it as 'Authorization: Bearer TOKEN'"
-        return None
+        token = _token(headers)
+        # One with the right token is never refused for the guesses of others at its address.
+        if self.knows(token):
+            return None
+        code = self._wrong(_address(scope)) if token else 401
+        return code, REFUSALS[code]
+
+
+def _address(scope: Scope) -> str:
+    client = scope.get("client")
+    return str(client[0]) if client else ""
 
 
 def _hostname(host: str) -> str:
@@ -137,6 +171,8 @@ def _limited(receive: Receive) -> Receive:
 async def _answer(send: Send, kind: str, code: int, text: str) -> None:
     body = json.dumps({"error": text}).encode()
     headers = [(b"content-type", b"application/json"), (b"content-length", str(len(body)).encode())]
+    if code == 429:
+        headers.append((b"retry-after", b"2"))
     if code == 401:
         headers.append((b"www-authenticate", b"Bearer"))
     await send({"type": f"{kind}.start", "status": code, "headers": headers})

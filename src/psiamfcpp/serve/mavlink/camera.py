@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import contextlib
 import math
+import re
 import threading
 import time
 from collections.abc import Callable
@@ -262,13 +263,12 @@ class Camera:
         flags = mav.CAMERA_CAP_FLAGS_HAS_TRACKING_POINT | mav.CAMERA_CAP_FLAGS_HAS_TRACKING_RECTANGLE
         if self._stream:
             flags |= mav.CAMERA_CAP_FLAGS_HAS_VIDEO_STREAM
-        major, minor, patch = (int(part) for part in __version__.split(".")[:3])
         return [
             mav.MAVLink_camera_information_message(
                 self._time(),
                 _text("psiamfcpp", 32),
                 _text("tracker", 32),
-                major | minor << 8 | patch << 16,
+                _version_number(__version__),
                 _NAN,
                 _NAN,
                 _NAN,
@@ -379,6 +379,14 @@ def _shares(values: list[float]) -> list[float]:
     if not all(math.isfinite(v) and 0 <= v <= 1 for v in values):
         raise UserError("coordinates must lie between 0 and 1")
     return values
+
+
+def _version_number(text: str) -> int:
+    """Return a version as MAVLink has it: major | minor << 8 | patch << 16, without a suffix such as rc1."""
+    # an epoch ("1!2.0") is no part of what users call the version
+    release = re.match(r"v?(?:\d+!)?(\d+(?:\.\d+)*)", text.strip())
+    parts = release[1].split(".")[:3] if release else []
+    return sum(min(int(part[:4]), 255) << 8 * place for place, part in enumerate(parts))
 
 
 def _whole(value: float) -> int:
