@@ -5,10 +5,13 @@ from __future__ import annotations
 import csv
 import os
 import shutil
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
+import cv2
 import httpx
+import numpy as np
 import pytest
 
 from psiamfcpp.errors import UserError
@@ -16,7 +19,8 @@ from psiamfcpp.serve.control import Control
 from psiamfcpp.serve.follower import BusyError, Follower
 from psiamfcpp.serve.recorder import COLUMNS, Recorder
 from psiamfcpp.tracking import TargetPool
-from psiamfcpp.video.source import open_source
+from psiamfcpp.video.source import Image, open_source
+from psiamfcpp.video.writer import VideoWriter
 
 from .conftest import BLOB, HEIGHT, WIDTH, Stream, served, until
 
@@ -86,6 +90,31 @@ def test_frames_are_on_disk_while_it_records(recorder: Recorder, follower: Follo
     assert recorder.on
 
 
+def test_an_encoder_that_is_too_slow_does_not_fall_behind(
+    recorder: Recorder, follower: Follower, stream: Stream, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write = VideoWriter.write
+
+    def slow(self: VideoWriter, image: Image) -> None:
+        time.sleep(0.1)  # five frames of the stream
+        write(self, image)
+
+    monkeypatch.setattr(VideoWriter, "write", slow)
+    recorder.start()
+    (folder,) = (tmp_path / "records").iterdir()
+    assert follower.newest is not None
+    first, start = follower.newest.number, follower.newest.read_at
+    until(lambda: follower.newest and follower.newest.number > first + 150)
+    seconds = follower.newest.read_at - start
+    recorder.stop()
+    video = cv2.VideoCapture(str(folder / "video.mkv"))
+    last = 0.0
+    while video.read()[0]:
+        last = video.get(cv2.CAP_PROP_POS_MSEC) / 1000
+    # four frames may wait; before, it was a third of the time and more
+    assert seconds - 1.0 < last < seconds + 1.0
+
+
 def test_what_is_recorded_is_synced_to_the_disk(
     recorder: Recorder, follower: Follower, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -97,14 +126,18 @@ def test_what_is_recorded_is_synced_to_the_disk(
     until(lambda: {path.stat().st_ino for path in folder.iterdir()} <= synced)
 
 
-def test_a_full_disk_keeps_what_was_recorded(recorder: Recorder, follower: Follower, tmp_path: Path) -> None:
+def test_a_full_disk_keeps_what_was_recorded(
+    recorder: Recorder, follower: Follower, stream: Stream, tmp_path: Path
+) -> None:
     resource = pytest.importorskip("resource")
+    rng = np.random.default_rng(0)
+    stream._draw = lambda *_, **__: rng.integers(0, 60, (HEIGHT, WIDTH, 3), dtype=np.uint8)  # fills the disk soon
     recorder.start()
     (folder,) = (tmp_path / "records").iterdir()
     part = until(lambda: next(folder.glob(".*.part.mkv"), None))
-    until(lambda: size_of(part) > 20_000)
+    until(lambda: size_of(part) > 1_000_000)
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (size_of(part) + 10_000, before[1]))
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size_of(part) + 100_000, before[1]))
     try:
         until(lambda: told(follower, "recording ended: "))
         until(lambda: not recorder.on)

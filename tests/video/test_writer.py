@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
@@ -91,6 +92,21 @@ def test_an_interrupted_video_keeps_its_frames(tmp_path: Path, codec: str, error
         raise error("stop")
     assert len(read(path)) == 7
     assert list(tmp_path.iterdir()) == [path]
+
+
+@pytest.mark.parametrize("suffix", [".mp4", ".mkv"])
+def test_a_frame_can_be_held(tmp_path: Path, codec: str, suffix: str) -> None:
+    path = tmp_path / f"a{suffix}"
+    with VideoWriter(path, 25, (64, 48)) as writer:
+        writer.write(noise(1)[0])
+        writer.hold(48)
+        writer.write(noise(1)[0])
+    video = cv2.VideoCapture(str(path))
+    times = []
+    while video.read()[0]:
+        times.append(video.get(cv2.CAP_PROP_POS_MSEC))
+    # 49 frames after the first, of 40 ms each
+    assert times[-1] - times[0] == pytest.approx(49 * 40, abs=2)
 
 
 def test_without_a_frame_nothing_is_left(tmp_path: Path, codec: str) -> None:

@@ -26,8 +26,9 @@ _SYNC_S = 1.0
 class Recorder:
     """Writes ``FOLDER/DATE-TIME/video.mkv`` and ``boxes.csv``.
 
-    The video runs at the source's rate whatever rate tracking reached: frames are repeated. It is Matroska, since
-    what was written until the process is killed, the power fails or the disk is full can still be read.
+    The video runs at the source's rate whatever rate tracking reached: frames are repeated, or shown for longer. It
+    is Matroska, since what was written until the process is killed, the power fails or the disk is full can still be
+    read.
     """
 
     def __init__(self, folder: Path, follower: Follower):
@@ -103,7 +104,7 @@ class Recorder:
             self._follower.tell(f"recording to {recording.folder}")
             with recording:
                 while (shot := shots.get()) is not None:
-                    recording.write(shot)
+                    recording.write(shot, behind=not shots.empty())
             self._follower.tell(f"recorded {recording.folder}")
         except (UserError, OSError) as error:
             self._follower.tell(f"recording ended: {error}")
@@ -152,8 +153,13 @@ class _Recording:
         self._syncer.join()
         self._stack.close()
 
-    def write(self, shot: Shot) -> None:
+    def write(self, shot: Shot, behind: bool) -> None:
         """Append a frame and its targets.
+
+        Args:
+            shot: the frame.
+            behind: others wait, so none is repeated: the one before is only shown for longer. Else a processor
+                that encodes fewer frames than the source has would fall behind more and more.
 
         Raises:
             UserError: the disk is full, or the stream changed its size.
@@ -166,6 +172,9 @@ class _Recording:
         image = draw_targets(shot.image, shot.tracks)
         due = round(seconds * self._fps) + 1
         self._written = max(self._written, due - round(_LONGEST_STILL_S * self._fps))
+        if behind and self._written and due > self._written + 1:
+            self._video.hold(due - self._written - 1)
+            self._written = due - 1
         while self._written < due:
             self._video.write(image)
             self._written += 1

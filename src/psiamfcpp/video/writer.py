@@ -96,11 +96,21 @@ class VideoWriter:
         try:
             self._encoder.write(np.ascontiguousarray(frame))
         except OSError as error:
-            self._open = False
-            with contextlib.suppress(OSError):
-                self._encoder.finish()
-            raise self._failure(error) from None
+            raise self._failed(error) from None
         self._count += 1
+
+    def hold(self, frames: int) -> None:
+        """Show the frame that was written last for so many frames more.
+
+        With PyAV this costs nothing: the next frame is stamped later.
+
+        Raises:
+            UserError: the disk is full, which ends the video.
+        """
+        try:
+            self._encoder.hold(frames)
+        except OSError as error:
+            raise self._failed(error) from None
 
     def close(self) -> None:
         """Finish the video and give it its name; may be called twice.
@@ -121,6 +131,13 @@ class VideoWriter:
         finally:
             # interrupted for a second time, or nothing was written
             self._keep_what_plays()
+
+    def _failed(self, error: OSError) -> UserError:
+        """End the video that a write could not go on with."""
+        self._open = False
+        with contextlib.suppress(OSError):
+            self._encoder.finish()
+        return self._failure(error)
 
     def _failure(self, error: OSError) -> UserError:
         kept = self._keep_what_plays()
@@ -248,6 +265,9 @@ class _H264:
         self._count += 1
         self._mux(picture)
 
+    def hold(self, frames: int) -> None:
+        self._count += frames
+
     def finish(self) -> None:
         try:
             if self._count:
@@ -276,6 +296,11 @@ class _Mpeg4:
 
     def write(self, frame: Image) -> None:
         self._writer.write(frame)
+        self._last = frame
+
+    def hold(self, frames: int) -> None:
+        for _ in range(frames):
+            self._writer.write(self._last)
 
     def finish(self) -> None:
         self._writer.release()
