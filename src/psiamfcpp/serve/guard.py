@@ -13,6 +13,7 @@ from urllib.parse import urlsplit
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from psiamfcpp.errors import UserError
+from psiamfcpp.serve.gate import Gate
 from psiamfcpp.serve.limits import Buckets
 
 COOKIE = "psiamfcpp_token"
@@ -23,6 +24,8 @@ _GUESSES_PER_S, _GUESSES_AT_ONCE = 0.5, 10.0
 SHORTEST_TOKEN = 12
 REFUSALS = {
     401: "a token is needed: send it as 'Authorization: Bearer TOKEN'",
+    408: "the request did not come in time",
+    413: f"a request may hold {MAX_BODY} bytes",
     429: "too many wrong tokens: wait some seconds",
 }
 # What must be had before a token can be given.
@@ -57,6 +60,7 @@ class Guard:
     def __init__(self, app: ASGIApp, token: str | None):
         self._app = app
         self._token = None if token is None else hashlib.sha256(token.encode()).digest()
+        self.gate = Gate()
         self._guesses = Buckets(_GUESSES_PER_S, _GUESSES_AT_ONCE)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -64,11 +68,24 @@ class Guard:
         if scope["type"] not in ("http", "websocket"):
             await self._app(scope, receive, send)
             return
+        with self.gate.serving(_client(scope)):
+            await self._serve(scope, receive, send)
+
+    async def _serve(self, scope: Scope, receive: Receive, send: Send) -> None:
         headers = {name.lower(): value.decode("latin-1") for name, value in scope["headers"]}
         refusal = self._refusal(scope, headers)
+        web = scope["type"] == "http"
+        if refusal is None and web:
+            body = await _whole(receive)
+            if isinstance(body, int):
+                refusal = body, REFUSALS[body]
+            else:
+                receive = _again(body, receive)
         if refusal is None:
-            await self._app(scope, _limited(receive) if scope["type"] == "http" else receive, send)
-        elif scope["type"] == "http":
+            if self.knows(_token(headers)):
+                self.gate.prove(_client(scope))
+            await self._app(scope, receive, send)
+        elif web:
             await _answer(send, "http.response", *refusal)
         else:
             await receive()  # the handshake
@@ -109,20 +126,20 @@ class Guard:
             return 403, "requests from other sites' pages are refused"
         length = headers.get(b"content-length", "0")
         if not length.isdecimal() or int(length) > MAX_BODY:
-            return 413, f"a request may hold {MAX_BODY} bytes"
+            return 413, REFUSALS[413]
         if self._token is None or scope["path"] in _OPEN_PATHS:
             return None
         token = _token(headers)
         # One with the right token is never refused for the guesses of others at its address.
         if self.knows(token):
             return None
-        code = self._wrong(_address(scope)) if token else 401
+        code = self._wrong(_client(scope)[0]) if token else 401
         return code, REFUSALS[code]
 
 
-def _address(scope: Scope) -> str:
+def _client(scope: Scope) -> tuple[str, int]:
     client = scope.get("client")
-    return str(client[0]) if client else ""
+    return (client[0], client[1]) if client else ("", 0)
 
 
 def _hostname(host: str) -> str:
@@ -150,20 +167,33 @@ def _token(headers: dict[bytes, str]) -> str:
     return morsel.value if morsel else ""
 
 
-def _limited(receive: Receive) -> Receive:
-    """The same body, cut off where it is longer than is allowed, or does not come."""
-    size, whole = 0, False
+async def _whole(receive: Receive) -> bytes | int:
+    """Return the body of a request, or 408 or 413 where it does not come in time, or is longer than is allowed."""
+    body = b""
+    end = asyncio.get_running_loop().time() + _BODY_S
+    while True:
+        try:
+            # for all of it: each byte would else buy more time
+            message = await asyncio.wait_for(receive(), end - asyncio.get_running_loop().time())
+        except asyncio.TimeoutError:
+            return 408
+        body += message.get("body", b"")
+        if len(body) > MAX_BODY:
+            return 413
+        if not message.get("more_body", False):
+            return body
+
+
+def _again(body: bytes, receive: Receive) -> Receive:
+    """What gives a body that was received already, and then what comes after it."""
+    given = False
 
     async def take() -> Message:
-        nonlocal size, whole
-        try:
-            # once it is there, the next message is that the client left
-            message = await asyncio.wait_for(receive(), None if whole else _BODY_S)
-        except asyncio.TimeoutError:
-            return {"type": "http.disconnect"}
-        whole = not message.get("more_body", False)
-        size += len(message.get("body", b""))
-        return {"type": "http.disconnect"} if size > MAX_BODY else message
+        nonlocal given
+        if given:
+            return await receive()
+        given = True
+        return {"type": "http.request", "body": body, "more_body": False}
 
     return take
 
@@ -171,6 +201,8 @@ def _limited(receive: Receive) -> Receive:
 async def _answer(send: Send, kind: str, code: int, text: str) -> None:
     body = json.dumps({"error": text}).encode()
     headers = [(b"content-type", b"application/json"), (b"content-length", str(len(body)).encode())]
+    if code == 408:
+        headers.append((b"connection", b"close"))
     if code == 429:
         headers.append((b"retry-after", b"2"))
     if code == 401:

@@ -16,7 +16,7 @@ from psiamfcpp.video.writer import LineWriter, VideoWriter
 
 COLUMNS = ("seconds", "frame", "target", "x", "y", "w", "h", "score", "state")
 # Frames that may wait for the encoder; more are left out of the video, and the ones before them shown for longer.
-_WAITING = 4
+_WAITING = 2
 # A gap in the stream becomes a still picture, but a night without one must not fill the disk.
 _LONGEST_STILL_S = 10.0
 # What the system holds back is lost when the power fails: by default up to half a minute of it.

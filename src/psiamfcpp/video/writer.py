@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 SUFFIXES = (".mp4", ".mkv", ".avi")
 BEARS_CUTS = ".mkv"
 """the format that players open although its end is missing"""
-_CLUSTER_MS = 200
+_CLUSTER_MS = 100
 _PROBE = 2**16
 _DISK = "check that the disk has room"
 
@@ -35,7 +35,7 @@ class VideoWriter:
     Whatever ends the ``with`` block, Ctrl-C or an error, the frames written so far become a valid video.
     Where no frame was written, nothing is left. Where the disk is full, a Matroska file (``.mkv``) keeps what was
     written before, since players open it although it is cut; of the other formats nothing is left.
-    H.264 where PyAV is installed, else MPEG-4. With PyAV, a Matroska file is on disk but for its last 0.2 s while it
+    H.264 where PyAV is installed, else MPEG-4. With PyAV, a Matroska file is on disk but for its last 0.1 s while it
     is written, in ``.NAME.PID.part.mkv``: it survives the end of the process, whatever that is.
     """
 
