@@ -86,6 +86,8 @@ class Follower:
         self._events: deque[Event] = deque(maxlen=200)
         self._event_count = 0
         self._intervals: deque[float] = deque(maxlen=30)
+        self.started = 0
+        """how many targets were started so far"""
         self.newest: Shot | None = None
         self.read_at: float | None = None
         """when the source gave its last frame, by `time.perf_counter`, looked at or not"""
@@ -140,6 +142,7 @@ class Follower:
                 raise BusyError(f"{MAX_TARGETS} targets are followed already: stop one first")
             number, track = self._pool.add(frame, box)
             self._tracks[number], self._selected = track, number
+            self.started += 1
             self.tell(f"target {number} is followed")
             return number, track
 
