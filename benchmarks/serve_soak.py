@@ -1,18 +1,22 @@
 """Does the server stay as it is? Clients that come, go, sleep and attack, for as long as asked.
 
-    python benchmarks/serve_soak.py --minutes 20 --model siamfcpp-alexnet
+    python benchmarks/serve_soak.py --minutes 10 --model siamfcpp-alexnet
 
-Starts `psiamfcpp serve` on a rendered clip in a process of its own, connects and disconnects, keeps four slow clients
-and one that reads all, sends what is wrong, and samples the server's memory, threads and sockets: first with one
-client, after the connects, half-way, and last when all have left. Prints one JSON object; Linux only, since it reads
-/proc.
+Starts `psiamfcpp serve` on a rendered clip in a process of its own that may open 1,024 files, connects and
+disconnects, keeps four slow clients and one that reads all, sends what is wrong, and samples the server's memory,
+threads and files: first with one client, after the connects, half-way, and last when all have left. Before that each
+load of `serve_loads.py` runs for as long as `--load-seconds` says, while an operator with the token measures how long
+it waits. Prints one JSON object; Linux only, since it reads /proc.
 """
 
 from __future__ import annotations
 
+import contextlib
 import json
+import os
 import random
 import re
+import resource
 import socket
 import statistics
 import subprocess
@@ -25,12 +29,17 @@ from typing import Any
 
 import httpx
 import tyro
+from serve_loads import LOADS, measure
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 
 from psiamfcpp.demo.clip import render
 from psiamfcpp.video.writer import VideoWriter
 from psiamfcpp.zoo import DEFAULT_MODEL
+
+TOKEN = "only for this soak"
+KNOWN = {"Authorization": f"Bearer {TOKEN}"}
+_FILES = 1024
 
 
 def main(
@@ -42,6 +51,7 @@ def main(
     fps: float = 30.0,
     frames: int = 300,
     mavlink_port: int = 14580,
+    load_seconds: float = 15.0,
 ) -> None:
     """Run it and print what was seen.
 
@@ -54,6 +64,7 @@ def main(
         fps: of the stream.
         frames: length of the clip, which is played over and over.
         mavlink_port: UDP port on loopback that is sent random bytes.
+        load_seconds: how long each load lasts; 0 leaves them out.
     """
     with tempfile.TemporaryDirectory() as folder:
         clip = Path(folder) / "clip.mp4"
@@ -63,19 +74,42 @@ def main(
         command = [sys.executable, "-m", "psiamfcpp", "serve", str(clip), "--port", "0", "--model", model]
         command += ["--threads", str(threads), "--mavlink", f"udpin:127.0.0.1:{mavlink_port}"]
         command += [] if search_size is None else ["--search-size", str(search_size)]
-        with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as server:
+        environment = {**os.environ, "PSIAMFCPP_TOKEN": TOKEN}
+        with subprocess.Popen(command, stderr=subprocess.PIPE, text=True, env=environment) as server:
+            resource.prlimit(server.pid, resource.RLIMIT_NOFILE, (_FILES, _FILES))
             assert server.stderr is not None
             line = server.stderr.readline()
             match = re.search(r"http://(127\.0\.0\.1:\d+)/", line)
             if match is None:
                 sys.exit(line)
             try:
-                result = soak(match[1], server.pid, minutes, connects, mavlink_port)
+                loads = under_loads(match[1], server.pid, mavlink_port, load_seconds)
+                result = {"loads": loads, **soak(match[1], server.pid, minutes, connects, mavlink_port)}
             finally:
                 server.terminate()
             result["exit_code"] = server.wait(30)
             result["said"] = server.stderr.read()
     print(json.dumps(result, indent=2))
+
+
+def under_loads(address: str, process: int, mavlink_port: int, seconds: float) -> dict[str, Any]:
+    """How an operator fares under each load, and what the server takes up meanwhile."""
+    found: dict[str, Any] = {}
+    for load in LOADS if seconds else ():
+        samples: list[dict[str, float]] = []
+        done = threading.Event()
+
+        def watch_process(samples: list[dict[str, float]] = samples, done: threading.Event = done) -> None:
+            while not done.wait(0.5):
+                samples.append(sample(process))
+
+        watcher = threading.Thread(target=watch_process)
+        watcher.start()
+        found[load] = measure(load, address, mavlink_port, TOKEN, seconds)
+        done.set()
+        watcher.join()
+        found[load]["highest"] = {key: max(s[key] for s in samples) for key in samples[0]}
+    return found
 
 
 def soak(address: str, process: int, minutes: float, connects: int, mavlink_port: int) -> dict[str, Any]:
@@ -126,7 +160,7 @@ def soak(address: str, process: int, minutes: float, connects: int, mavlink_port
 
 def watch(address: str, done: threading.Event, latencies: list[float], trackers: list[float]) -> None:
     """A page: takes every picture, and starts a target whenever there is none."""
-    with connect(f"ws://{address}/api/live?client=watcher", max_size=None) as client:
+    with connect(f"ws://{address}/api/live?client=watcher", additional_headers=KNOWN, max_size=None) as client:
         client.send('{"type": "frame"}')
         while not done.is_set():
             message = client.recv(timeout=60)
@@ -145,7 +179,9 @@ def watch(address: str, done: threading.Event, latencies: list[float], trackers:
 
 def dawdle(address: str, done: threading.Event, refusals: dict[str, int]) -> None:
     """A client that takes ten messages a second of the many more that are meant for it, and all pictures it can get."""
-    with connect(f"ws://{address}/api/live", max_size=None, max_queue=1, ping_interval=None) as client:
+    with connect(
+        f"ws://{address}/api/live", additional_headers=KNOWN, max_size=None, max_queue=1, ping_interval=None
+    ) as client:
         client.send('{"type": "frame"}')
         while not done.wait(0.1):
             try:
@@ -159,7 +195,7 @@ def dawdle(address: str, done: threading.Event, refusals: dict[str, int]) -> Non
 
 def touch(address: str, abrupt: bool) -> None:
     """Connect, take a picture and leave, with a word or without."""
-    client = connect(f"ws://{address}/api/live").__enter__()
+    client = connect(f"ws://{address}/api/live", additional_headers=KNOWN).__enter__()
     client.send('{"type": "frame"}')
     client.recv(timeout=60)
     if abrupt:
@@ -174,7 +210,7 @@ def attack(address: str, mavlink_port: int, refusals: dict[str, int]) -> None:
     def count(what: object) -> None:
         refusals[str(what)] = refusals.get(str(what), 0) + 1
 
-    with httpx.Client(base_url=f"http://{address}", timeout=60) as http:
+    with httpx.Client(base_url=f"http://{address}", headers=KNOWN, timeout=60) as http:
         for body in (b'{"box": [NaN, 0, 1, 1]}', b'{"box": [9e4, 0, 5, 5]}', b"{", b"x" * 100_000):
             count(http.post("/api/targets", content=body, headers={"Content-Type": "application/json"}).status_code)
         count(http.delete("/api/targets", headers={"Origin": "http://elsewhere"}).status_code)
@@ -186,7 +222,7 @@ def attack(address: str, mavlink_port: int, refusals: dict[str, int]) -> None:
         count(refusal.response.status_code)
     for text in ("x" * 50_000, '{"type": "start", "box": [1, 1, 50, 50]}'):
         try:
-            with connect(f"ws://{address}/api/live", max_size=None) as client:
+            with connect(f"ws://{address}/api/live", additional_headers=KNOWN, max_size=None) as client:
                 for _ in range(1000):
                     client.send(text)
                 while True:
@@ -200,12 +236,16 @@ def attack(address: str, mavlink_port: int, refusals: dict[str, int]) -> None:
 
 
 def sample(process: int) -> dict[str, float]:
-    """Resident memory in MiB, threads and sockets of a process now."""
+    """Resident memory in MiB, threads, open files and sockets of a process now."""
     status = Path(f"/proc/{process}/status").read_text()
-    links = [link.readlink().name for link in Path(f"/proc/{process}/fd").iterdir() if link.is_symlink()]
+    links = []
+    for link in Path(f"/proc/{process}/fd").iterdir():
+        with contextlib.suppress(FileNotFoundError):  # closed meanwhile
+            links.append(link.readlink().name)
     return {
         "memory_mib": round(int(re.search(r"VmRSS:\s+(\d+)", status)[1]) / 1024, 1),  # type: ignore[index]
         "threads": int(re.search(r"Threads:\s+(\d+)", status)[1]),  # type: ignore[index]
+        "files": len(links),
         "sockets": sum("socket" in link for link in links),
     }
 

@@ -3,6 +3,10 @@
 from __future__ import annotations
 
 import json
+import signal
+import subprocess
+import sys
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -229,6 +233,36 @@ def test_an_interruption_keeps_what_was_done(
     monkeypatch.undo()
     assert len(read_boxes(outputs / "b.txt")) == count_frames(outputs / "o.mp4") == 5
     assert names(outputs) == ["b.txt", "o.mp4"]
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no such signals")
+@pytest.mark.parametrize("kind", ["SIGTERM", "SIGINT", "SIGHUP"])
+def test_a_signal_leaves_files_that_are_whole(tmp_path: Path, outputs: Path, kind: str) -> None:
+    clip = tmp_path / "long.mp4"
+    with VideoWriter(clip, 25, (64, 48)) as writer:
+        for number in range(3000):
+            writer.write(np.full((48, 64, 3), number % 200, np.uint8))
+    command = [sys.executable, "-m", "psiamfcpp", "track", str(clip), "--box", "20,20,16,12", "--threads", "1"]
+    command += ["--model", "psiamfcpp-alexnet-n-int8", "-o", str(outputs / "o.mp4"), "--boxes", str(outputs / "b.txt")]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    try:
+        end = time.monotonic() + 60
+        while not (outputs / "b.txt").exists() or len(read_boxes(outputs / "b.txt")) < 20:
+            assert process.poll() is None
+            assert time.monotonic() < end
+            time.sleep(0.05)
+        # impatient, as some service managers are
+        process.send_signal(getattr(signal, kind))
+        if kind != "SIGINT":
+            process.send_signal(getattr(signal, kind))
+        _, err = process.communicate(timeout=60)
+    finally:
+        process.kill()
+    assert process.returncode == 130
+    assert "Traceback" not in err
+    assert err.strip().endswith("psiamfcpp: interrupted")
+    assert names(outputs) == ["b.txt", "o.mp4"]
+    assert abs(count_frames(outputs / "o.mp4") - len(read_boxes(outputs / "b.txt"))) <= 1
 
 
 def test_an_interruption_before_the_first_frame_leaves_nothing(

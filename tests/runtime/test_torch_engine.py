@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 import torch
 from numpy.testing import assert_allclose
-from psiamfcpp.video.demo_clip import render
 
 from psiamfcpp import UserError
 from psiamfcpp.crop import mean_colour, target_crop
+from psiamfcpp.demo.clip import render
 from psiamfcpp.geometry import centre
 from psiamfcpp.models import load
 from psiamfcpp.models.network import ConvBlock

@@ -83,6 +83,26 @@ def test_the_token_opens_everything(control: Control) -> None:
             assert ask(socket, type="start", box=BLOB)["ok"]
 
 
+def test_tokens_cannot_be_guessed_at_any_rate(control: Control) -> None:
+    with served(control, token=TOKEN) as address, httpx.Client(base_url=f"http://{address}") as http:
+        codes = [http.post("/api/login", json={"token": f"wrong {n:08}"}).status_code for n in range(30)]
+        assert codes[:5] == [401] * 5
+        assert codes.count(429) > 15
+        # what is not looked at cannot be found right
+        refused = http.post("/api/login", json={"token": TOKEN})
+        assert (refused.status_code, refused.headers["retry-after"]) == (429, "2")
+        assert refused.json() == {"error": "too many wrong tokens: wait some seconds"}
+        wrong = {"Authorization": "Bearer wrong but long"}
+        assert {http.get("/api/state", headers=wrong).status_code for _ in range(20)} == {429}
+        # but whoever has the token is served
+        assert http.get("/api/state", headers={"Authorization": f"Bearer {TOKEN}"}).status_code == 200
+        # and no other address is held up
+        other = httpx.HTTPTransport(local_address="127.0.0.2")
+        with httpx.Client(base_url=f"http://{address}", transport=other) as elsewhere:
+            assert elsewhere.post("/api/login", json={"token": TOKEN}).status_code == 200
+        assert until(lambda: http.post("/api/login", json={"token": TOKEN}).status_code == 200)
+
+
 @pytest.mark.parametrize("origin", ["http://evil.example", "null", "https://127.0.0.1:1", "http://["])
 def test_foreign_origins_are_refused(address: str, http: httpx.Client, origin: str, follower: Follower) -> None:
     answer = http.post("/api/targets", json={"box": BLOB}, headers={"Origin": origin})

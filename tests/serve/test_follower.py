@@ -92,7 +92,7 @@ def test_there_is_a_limit_to_targets(follower: Follower) -> None:
 def test_a_stream_that_breaks_is_opened_again_and_keeps_its_targets(
     follower: Follower, stream: Stream, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("psiamfcpp.serve.follower._REOPEN_S", 0.05)
+    monkeypatch.setattr("psiamfcpp.serve.reader._REOPEN_S", 0.05)
     follower.add(BLOB)
     stream.broken = True
     until(lambda: told(follower, "broke off") and told(follower, "cannot be opened"))
@@ -141,6 +141,49 @@ def test_commands_from_many_threads_are_all_answered(follower: Follower) -> None
         thread.join(60)
     assert len(answers) == 160
     assert follower.failure is None
+
+
+def test_a_file_that_starts_again_while_many_commands_wait_harms_nothing(
+    stream: Stream, blob_engine: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("psiamfcpp.serve.follower._MAX_WAITING", 0)  # every command of a client is one too many
+    search = blob_engine.search_many
+
+    def slow(*args: Any) -> Any:
+        time.sleep(0.1)
+        return search(*args)
+
+    monkeypatch.setattr(blob_engine, "search_many", slow)
+    stream.live, stream.length, stream.fps = False, 4, 200.0
+    with Follower(stream.open, TargetPool()) as follower:
+        until(lambda: follower.newest)
+        opened = stream.opened
+        until(lambda: follower.failure or stream.opened >= opened + 4)
+        assert follower.failure is None
+        with pytest.raises(BusyError, match="too many commands"):
+            follower.clear()
+
+
+def test_a_tracker_that_does_not_answer_is_busy_and_does_not_obey_later(
+    follower: Follower, blob_engine: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("psiamfcpp.serve.follower._ANSWER_S", 0.05)
+    follower.add(BLOB)
+    held, search = threading.Event(), blob_engine.search
+
+    def hold(*args: Any) -> Any:
+        held.wait(30)
+        return search(*args)
+
+    monkeypatch.setattr(blob_engine, "search", hold)
+    time.sleep(0.1)  # the tracker is within an update now
+    with pytest.raises(BusyError, match="did not answer in time"):
+        follower.clear()
+    held.set()
+    monkeypatch.setattr("psiamfcpp.serve.follower._ANSWER_S", 30)
+    follower.select(1)  # behind what was given up
+    assert follower.newest is not None
+    assert list(follower.newest.tracks) == [1]
 
 
 def test_a_tracker_that_fails_ends_it_with_its_reason(

@@ -6,22 +6,29 @@ import math
 import os
 import random
 import socket
+import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote
 
+import httpx
 import pytest
 from pymavlink import mavutil
 from pymavlink.dialects.v20 import common as mav
+from websockets.sync.client import connect
 
+import psiamfcpp.serve.control
 from psiamfcpp.errors import UserError
 from psiamfcpp.geometry import centre_error
 from psiamfcpp.serve.control import Control
 from psiamfcpp.serve.follower import Follower
 from psiamfcpp.serve.mavlink import Camera, open_link
+from psiamfcpp.serve.mavlink.link import UdpLink
+from psiamfcpp.serve.mavlink.reports import Reports
 
-from .conftest import BLOB, HEIGHT, WIDTH, Stream, free_port, until
+from .conftest import BLOB, HEIGHT, WIDTH, Stream, ask, free_port, served, until
 
 SYSTEM, CAMERA = 1, mav.MAV_COMP_ID_CAMERA
 # the blob as shares of the frame: left, top, right, bottom
@@ -50,8 +57,11 @@ class Station:
                 return message
         raise AssertionError(f"no {kind} {fields} came")
 
-    def command(self, command: int, *params: float, component: int = CAMERA, system: int = SYSTEM) -> None:
-        self.link.mav.command_long_send(system, component, command, 0, *(*params, *[0.0] * (7 - len(params))))
+    def command(
+        self, command: int, *params: float, component: int = CAMERA, system: int = SYSTEM, confirmation: int = 0
+    ) -> None:
+        rest = [0.0] * (7 - len(params))
+        self.link.mav.command_long_send(system, component, command, confirmation, *params, *rest)
 
     def ask(self, command: int, *params: float) -> int:
         """The result of a command."""
@@ -140,8 +150,6 @@ def test_it_can_track_points_and_rectangles(station: Station) -> None:
 @pytest.mark.parametrize(
     ("number", "kind"),
     [
-        (mav.MAVLINK_MSG_ID_VIDEO_STREAM_INFORMATION, "VIDEO_STREAM_INFORMATION"),
-        (mav.MAVLINK_MSG_ID_VIDEO_STREAM_STATUS, "VIDEO_STREAM_STATUS"),
         (mav.MAVLINK_MSG_ID_CAMERA_SETTINGS, "CAMERA_SETTINGS"),
         (mav.MAVLINK_MSG_ID_CAMERA_CAPTURE_STATUS, "CAMERA_CAPTURE_STATUS"),
         (mav.MAVLINK_MSG_ID_CAMERA_TRACKING_IMAGE_STATUS, "CAMERA_TRACKING_IMAGE_STATUS"),
@@ -149,10 +157,29 @@ def test_it_can_track_points_and_rectangles(station: Station) -> None:
 )
 def test_messages_come_when_asked_for(station: Station, number: int, kind: str) -> None:
     assert station.ask(mav.MAV_CMD_REQUEST_MESSAGE, number) == mav.MAV_RESULT_ACCEPTED
-    message = station.wait(kind)
-    if kind.startswith("VIDEO"):
-        assert (message.resolution_h, message.resolution_v, message.hfov) == (WIDTH, HEIGHT, 60)
-        assert message.flags == mav.VIDEO_STREAM_STATUS_FLAGS_RUNNING
+    station.wait(kind)
+
+
+@pytest.mark.parametrize(
+    ("version", "number"),
+    [
+        ("0.1.0", 0x000100),
+        ("0.2.0rc1", 0x000200),
+        ("1.2.3.post4", 0x030201),
+        ("1.2", 0x000201),
+        ("2!3", 3),
+        ("1.0.dev7+local.5", 1),
+        ("2026.11.4", 0x040BFF),
+        ("unknown", 0),
+        ("9" * 5000 + ".1", 0x0001FF),
+    ],
+)
+def test_every_version_has_a_number(
+    control: Control, monkeypatch: pytest.MonkeyPatch, version: str, number: int
+) -> None:
+    monkeypatch.setattr("psiamfcpp.serve.mavlink.reports.__version__", version)
+    (message,) = Reports(control, None, "").makers[mav.MAVLINK_MSG_ID_CAMERA_INFORMATION]()
+    assert message.firmware_version == number
 
 
 def test_older_ways_of_asking_are_understood(station: Station) -> None:
@@ -162,14 +189,19 @@ def test_older_ways_of_asking_are_understood(station: Station) -> None:
 
 def test_an_rtsp_source_is_offered_to_ground_stations(control: Control, port: int) -> None:
     link = open_link(f"udpin:127.0.0.1:{port}")
-    with Camera(control, link, SYSTEM, stream="rtsp://10.0.0.2/main"):
+    with Camera(control, link, SYSTEM, fov=60, stream="rtsp://10.0.0.2/main"):
         station = Station(port, listen=False)
         station.heartbeat()
         station.wait("HEARTBEAT")
         station.ask(mav.MAV_CMD_REQUEST_MESSAGE, mav.MAVLINK_MSG_ID_CAMERA_INFORMATION)
         assert station.wait("CAMERA_INFORMATION").flags & mav.CAMERA_CAP_FLAGS_HAS_VIDEO_STREAM
         station.ask(mav.MAV_CMD_REQUEST_MESSAGE, mav.MAVLINK_MSG_ID_VIDEO_STREAM_INFORMATION)
-        assert station.wait("VIDEO_STREAM_INFORMATION").uri == "rtsp://10.0.0.2/main"
+        about = station.wait("VIDEO_STREAM_INFORMATION")
+        assert about.uri == "rtsp://10.0.0.2/main"
+        station.ask(mav.MAV_CMD_REQUEST_MESSAGE, mav.MAVLINK_MSG_ID_VIDEO_STREAM_STATUS)
+        for message in (about, station.wait("VIDEO_STREAM_STATUS")):
+            assert (message.resolution_h, message.resolution_v, message.hfov) == (WIDTH, HEIGHT, 60)
+            assert message.flags == mav.VIDEO_STREAM_STATUS_FLAGS_RUNNING
         station.close()
     link.close()
 
@@ -231,8 +263,9 @@ def test_commands_may_come_as_command_int(station: Station, follower: Follower) 
 
 def test_a_new_rectangle_replaces_the_one_before_and_no_other(station: Station, follower: Follower) -> None:
     follower.add(BLOB)
-    for _ in range(3):
-        assert station.ask(mav.MAV_CMD_CAMERA_TRACK_RECTANGLE, *RECTANGLE) == mav.MAV_RESULT_ACCEPTED
+    for number in range(3):
+        rectangle = (RECTANGLE[0] + number / WIDTH, *RECTANGLE[1:])
+        assert station.ask(mav.MAV_CMD_CAMERA_TRACK_RECTANGLE, *rectangle) == mav.MAV_RESULT_ACCEPTED
     until(lambda: follower.newest and list(follower.newest.tracks) == [1, 4])
 
 
@@ -258,6 +291,13 @@ def test_bearings_of_the_chosen_target_are_told(station: Station, follower: Foll
         (mav.MAV_CMD_CAMERA_TRACK_POINT, (640.0, 0.5), mav.MAV_RESULT_DENIED),
         (mav.MAV_CMD_SET_MESSAGE_INTERVAL, (275, 10), mav.MAV_RESULT_DENIED),
         (mav.MAV_CMD_SET_MESSAGE_INTERVAL, (275, math.nan), mav.MAV_RESULT_DENIED),
+        (mav.MAV_CMD_SET_MESSAGE_INTERVAL, (275, 3.6e9), mav.MAV_RESULT_DENIED),
+        (mav.MAV_CMD_SET_MESSAGE_INTERVAL, (275, 2**31), mav.MAV_RESULT_DENIED),
+        (mav.MAV_CMD_SET_MESSAGE_INTERVAL, (0, 20_000), mav.MAV_RESULT_DENIED),
+        (mav.MAV_CMD_SET_MESSAGE_INTERVAL, (0, 60_000_000), mav.MAV_RESULT_DENIED),
+        (mav.MAV_CMD_REQUEST_MESSAGE, (269,), mav.MAV_RESULT_UNSUPPORTED),
+        (mav.MAV_CMD_REQUEST_MESSAGE, (270,), mav.MAV_RESULT_UNSUPPORTED),
+        (mav.MAV_CMD_REQUEST_VIDEO_STREAM_INFORMATION, (0,), mav.MAV_RESULT_UNSUPPORTED),
         (mav.MAV_CMD_SET_MESSAGE_INTERVAL, (30, 100_000), mav.MAV_RESULT_UNSUPPORTED),
         (mav.MAV_CMD_REQUEST_MESSAGE, (276,), mav.MAV_RESULT_UNSUPPORTED),
         (mav.MAV_CMD_REQUEST_MESSAGE, (math.nan,), mav.MAV_RESULT_UNSUPPORTED),
@@ -311,6 +351,175 @@ def test_commands_for_others_are_left_alone(station: Station) -> None:
     assert not station.hears("COMMAND_ACK", 1.0)
     station.command(mav.MAV_CMD_REQUEST_MESSAGE, 259, component=mav.MAV_COMP_ID_ALL)
     station.wait("CAMERA_INFORMATION")
+
+
+# commands that are sent again
+
+
+@pytest.fixture
+def held(monkeypatch: pytest.MonkeyPatch) -> threading.Event:
+    """GrabCut that is not done before this is set."""
+    done = threading.Event()
+    propose = psiamfcpp.serve.control.propose_box
+
+    def slow(*args: Any) -> Any:
+        assert done.wait(30)
+        return propose(*args)
+
+    monkeypatch.setattr("psiamfcpp.serve.control.propose_box", slow)
+    return done
+
+
+TAP = (119 / WIDTH, 94 / HEIGHT)
+
+
+def test_a_repeated_command_is_answered_and_not_repeated(
+    station: Station, follower: Follower, held: threading.Event
+) -> None:
+    command = mav.MAV_CMD_CAMERA_TRACK_POINT
+    for confirmation in range(4):
+        station.command(command, *TAP, confirmation=confirmation)
+    for _ in range(3):
+        assert station.wait("COMMAND_ACK", command=command).result == mav.MAV_RESULT_IN_PROGRESS
+    # meanwhile it is alive, and hears others
+    station.wait("HEARTBEAT")
+    station.wait("HEARTBEAT")
+    assert station.ask(mav.MAV_CMD_REQUEST_MESSAGE, mav.MAVLINK_MSG_ID_CAMERA_SETTINGS) == 0
+    held.set()
+    assert station.wait("COMMAND_ACK", command=command).result == mav.MAV_RESULT_ACCEPTED
+    # with the confirmation of a repeat, and as MAVSDK repeats, without
+    for confirmation in (4, 0):
+        station.command(command, *TAP, confirmation=confirmation)
+        assert station.wait("COMMAND_ACK", command=command).result == mav.MAV_RESULT_ACCEPTED
+    assert follower.started == 1
+    # one that another came after is a repeat only if it says so
+    assert station.ask(mav.MAV_CMD_CAMERA_STOP_TRACKING) == mav.MAV_RESULT_ACCEPTED
+    station.command(command, *TAP, confirmation=1)
+    assert station.wait("COMMAND_ACK", command=command).result == mav.MAV_RESULT_ACCEPTED
+    assert follower.started == 1
+    assert station.ask(command, *TAP) == mav.MAV_RESULT_ACCEPTED
+    assert follower.started == 2
+
+
+def test_a_repeated_stop_stops_one_target(station: Station, follower: Follower) -> None:
+    for _ in range(3):
+        follower.add(BLOB)
+    for confirmation in (0, 1, 0):
+        station.command(mav.MAV_CMD_CAMERA_STOP_TRACKING, confirmation=confirmation)
+        assert station.wait("COMMAND_ACK").result == mav.MAV_RESULT_ACCEPTED
+    until(lambda: follower.newest and list(follower.newest.tracks) == [1, 2])
+    # what was started since is another one to stop
+    follower.add(BLOB)
+    assert station.ask(mav.MAV_CMD_CAMERA_STOP_TRACKING) == mav.MAV_RESULT_ACCEPTED
+    until(lambda: follower.newest and list(follower.newest.tracks) == [1, 2])
+
+
+def test_the_same_command_of_another_station_or_later_is_another(
+    join: Callable[..., Station], follower: Follower, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    first, second = join(255), join(254)
+    assert first.ask(mav.MAV_CMD_CAMERA_TRACK_RECTANGLE, *RECTANGLE) == mav.MAV_RESULT_ACCEPTED
+    refused = second.ask(mav.MAV_CMD_CAMERA_TRACK_RECTANGLE, *RECTANGLE)
+    assert refused == mav.MAV_RESULT_TEMPORARILY_REJECTED
+    monkeypatch.setattr("psiamfcpp.serve.mavlink.commands._REPEATED_WITHIN_S", 0)
+    assert first.ask(mav.MAV_CMD_CAMERA_TRACK_RECTANGLE, *RECTANGLE) == mav.MAV_RESULT_ACCEPTED
+    assert follower.started == 2
+
+
+def test_a_fault_in_a_command_or_a_message_is_told_and_leaves_the_rest(
+    station: Station, camera: Camera, control: Control, follower: Follower, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def broken(*_: Any) -> Any:
+        raise RuntimeError("out of order")
+
+    monkeypatch.setattr(control, "start_at", broken)
+    camera._makers[mav.MAVLINK_MSG_ID_CAMERA_SETTINGS] = broken
+    assert station.ask(mav.MAV_CMD_CAMERA_TRACK_POINT, *TAP) == mav.MAV_RESULT_FAILED
+    camera._intervals_us[mav.MAVLINK_MSG_ID_CAMERA_SETTINGS] = 20_000
+    for _ in range(2):
+        station.wait("HEARTBEAT")
+    assert station.ask(mav.MAV_CMD_CAMERA_TRACK_RECTANGLE, *RECTANGLE) == mav.MAV_RESULT_ACCEPTED
+    # hundreds of faults are one event
+    told = [event.text for event in follower.events() if "out of order" in event.text]
+    assert told == ["mavlink failed: RuntimeError: out of order"]
+
+
+# whom it hears
+
+
+def test_everybody_means_it_too_but_does_not_set_its_heartbeat(station: Station) -> None:
+    for system in (0, SYSTEM):
+        station.command(mav.MAV_CMD_REQUEST_MESSAGE, mav.MAVLINK_MSG_ID_CAMERA_SETTINGS, system=system)
+        station.wait("COMMAND_ACK", result=mav.MAV_RESULT_ACCEPTED)
+        station.wait("CAMERA_SETTINGS")
+    # named, though in every system: it says what it cannot do
+    station.command(mav.MAV_CMD_NAV_TAKEOFF, system=0)
+    station.wait("COMMAND_ACK", result=mav.MAV_RESULT_UNSUPPORTED)
+    interval = mav.MAV_CMD_SET_MESSAGE_INTERVAL
+    station.command(interval, 0, 100_000, system=0)
+    station.wait("COMMAND_ACK", result=mav.MAV_RESULT_DENIED)
+    station.command(interval, 0, 100_000, component=mav.MAV_COMP_ID_ALL)
+    station.command(mav.MAV_CMD_GET_MESSAGE_INTERVAL, 0)
+    assert station.wait("MESSAGE_INTERVAL").interval_us == 1_000_000
+    assert station.ask(interval, 0, 200_000) == mav.MAV_RESULT_ACCEPTED
+    assert station.ask(interval, 275, 2**31 - 128) == mav.MAV_RESULT_ACCEPTED
+    assert station.ask(mav.MAV_CMD_GET_MESSAGE_INTERVAL, 275) == mav.MAV_RESULT_ACCEPTED
+    assert station.wait("MESSAGE_INTERVAL", message_id=275).interval_us == 2**31 - 128
+
+
+def test_stations_with_the_same_numbers_are_two(join: Callable[..., Station], control: Control) -> None:
+    first, second = join(), join()
+    assert first.ask(mav.MAV_CMD_CAMERA_TRACK_RECTANGLE, *RECTANGLE) == mav.MAV_RESULT_ACCEPTED
+    second.command(mav.MAV_CMD_CAMERA_STOP_TRACKING)
+    second.wait("COMMAND_ACK", result=mav.MAV_RESULT_TEMPORARILY_REJECTED)
+    # nor is a page that bears its name
+    assert control.lease.holder is not None
+    with served(control) as address, httpx.Client(base_url=f"http://{address}") as http:
+        for name in (control.lease.holder, "mavlink 255/190", control.lease.holder.removeprefix("mavlink ")):
+            assert http.delete("/api/targets", headers={"X-Client": name}).status_code == 409
+        with connect(f"ws://{address}/api/live?client={quote(control.lease.holder)}") as page:
+            assert not ask(page, type="stop")["ok"]
+
+
+def test_a_flood_of_one_station_costs_no_other_a_command(station: Station, port: int) -> None:
+    done = threading.Event()
+    flood = bytes(mav.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3).pack(mav.MAVLink(None, 200, 190)))
+
+    def send() -> None:
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as foreign:
+            while not done.wait(0.01):
+                for _ in range(30):
+                    foreign.sendto(flood, ("127.0.0.1", port))
+
+    thread = threading.Thread(target=send)
+    thread.start()
+    try:
+        time.sleep(1.5)  # more than a second's worth
+        for _ in range(8):
+            assert station.ask(mav.MAV_CMD_REQUEST_MESSAGE, mav.MAVLINK_MSG_ID_CAMERA_SETTINGS) == 0
+    finally:
+        done.set()
+        thread.join()
+
+
+def test_a_link_has_a_share_for_each_peer_and_room_for_who_commands() -> None:
+    link = UdpLink("127.0.0.1", 9, listen=False, clock=lambda: 0.0)
+    try:
+        known, other = ("10.0.0.1", 5), ("10.0.0.2", 5)
+        link.accept(known, commands=True)
+        assert sum(link._allowed(other) for _ in range(3000)) == 100
+        # a crowd of ports is one address, and strangers are few in all
+        assert sum(link._allowed(("10.0.0.2", port)) for port in range(6, 600)) == 0
+        crowd = [(f"10.0.{n // 250}.{n % 250 + 3}", 5) for n in range(900)]
+        assert sum(link._allowed(one) for one in crowd) == 200
+        assert sum(link._allowed(known) for _ in range(3000)) == 500
+        for one in crowd:
+            link.accept(one)
+        assert known in link._peers
+        assert len(link._peers) == 16
+        assert crowd[-1] in link._peers
+    finally:
+        link.close()
 
 
 # how it lasts
@@ -418,8 +627,9 @@ def test_links_that_are_none_say_so(text: str, message: str) -> None:
 
 
 def test_it_never_sends_what_moves_anything() -> None:
-    source = Path(__file__).parents[2] / "src/psiamfcpp/serve/mavlink/camera.py"
-    sent = {part.split("_message(")[0] for part in source.read_text().split("mav.MAVLink_")[1:]}
+    folder = Path(__file__).parents[2] / "src/psiamfcpp/serve/mavlink"
+    text = "".join(path.read_text() for path in folder.glob("*.py"))
+    sent = {part.split("_message(")[0] for part in text.split("mav.MAVLink_")[1:]}
     assert sent == {
         "camera_capture_status",
         "camera_information",

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import builtins
 import os
+import subprocess
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
@@ -92,6 +94,21 @@ def test_an_interrupted_video_keeps_its_frames(tmp_path: Path, codec: str, error
     assert list(tmp_path.iterdir()) == [path]
 
 
+@pytest.mark.parametrize("suffix", [".mp4", ".mkv"])
+def test_a_frame_can_be_held(tmp_path: Path, codec: str, suffix: str) -> None:
+    path = tmp_path / f"a{suffix}"
+    with VideoWriter(path, 25, (64, 48)) as writer:
+        writer.write(noise(1)[0])
+        writer.hold(48)
+        writer.write(noise(1)[0])
+    video = cv2.VideoCapture(str(path))
+    times = []
+    while video.read()[0]:
+        times.append(video.get(cv2.CAP_PROP_POS_MSEC))
+    # 49 frames after the first, of 40 ms each
+    assert times[-1] - times[0] == pytest.approx(49 * 40, abs=2)
+
+
 def test_without_a_frame_nothing_is_left(tmp_path: Path, codec: str) -> None:
     with VideoWriter(tmp_path / "a.mp4", 25, (64, 48)):
         pass
@@ -135,7 +152,7 @@ def test_a_frame_of_another_size_is_refused_and_the_rest_kept(tmp_path: Path) ->
     assert len(read(path)) == 1
 
 
-@pytest.mark.parametrize("suffix", [".mp4", ".mkv", ".avi"])
+@pytest.mark.parametrize("suffix", [".mp4", ".avi"])
 def test_a_full_disk_is_told_and_leaves_nothing(tmp_path: Path, codec: str, suffix: str) -> None:
     path = tmp_path / f"a{suffix}"
     frames = noise(80, 320, 240)
@@ -147,6 +164,59 @@ def test_a_full_disk_is_told_and_leaves_nothing(tmp_path: Path, codec: str, suff
         for frame in frames:
             writer.write(frame)
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("older", [False, True])
+def test_matroska_on_a_full_disk_keeps_what_was_written(tmp_path: Path, codec: str, older: bool) -> None:
+    path = tmp_path / "a.mkv"
+    kept = tmp_path / "a.cut.mkv" if older else path
+    if older:
+        path.write_text("older")
+    frames = noise(80, 320, 240)
+    with (
+        disk_of(1_000_000),
+        pytest.raises(UserError, match=f"{path} cannot be written: .*; what was written until then is in {kept}$"),
+        VideoWriter(path, 25, (320, 240)) as writer,
+    ):
+        for frame in frames:
+            writer.write(frame)
+    assert sorted(tmp_path.iterdir()) == sorted({path, kept})
+    assert not older or path.read_text() == "older"
+    count = len(read(kept))
+    # noise of this size takes some 40,000 bytes per frame in H.264, less in MPEG-4
+    assert 10 < count < 80
+
+
+@pytest.mark.parametrize("fps", [5, 30])
+def test_matroska_survives_a_kill_but_for_the_last_second(tmp_path: Path, fps: int) -> None:
+    pytest.importorskip("av")
+    count = 4 * fps
+    program = f"""
+import os, signal
+import numpy as np
+from psiamfcpp.video.writer import VideoWriter
+writer = VideoWriter({str(tmp_path / "a.mkv")!r}, {fps}, (320, 240))
+for number in range({count}):
+    writer.write(np.full((240, 320, 3), number % 200, np.uint8))
+os.kill(os.getpid(), signal.SIGKILL)
+"""
+    assert subprocess.run([sys.executable, "-c", program]).returncode == -9
+    (left,) = tmp_path.iterdir()
+    assert left.suffix == ".mkv"
+    assert count - fps <= len(read(left)) <= count
+
+
+def test_a_second_interruption_leaves_no_part(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, codec: str) -> None:
+    def interrupt(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    for suffix in (".mp4", ".mkv"):
+        with pytest.raises(KeyboardInterrupt), VideoWriter(tmp_path / f"a{suffix}", 25, (64, 48)) as writer:
+            for frame in noise(30):
+                writer.write(frame)
+            monkeypatch.setattr(writer._encoder, "finish", interrupt)
+            raise KeyboardInterrupt
+    assert [path.name for path in tmp_path.iterdir()] == ["a.mkv"]
 
 
 def test_boxes_are_on_disk_as_they_are_written(tmp_path: Path) -> None:

@@ -17,6 +17,7 @@ import tyro
 
 from psiamfcpp import __version__
 from psiamfcpp.errors import UserError
+from psiamfcpp.signals import ended_like_ctrl_c
 
 COMMANDS = {
     "demo": "render an aerial clip, follow its target, and say how well",
@@ -72,7 +73,8 @@ def main(args: list[str] | None = None) -> int:
         elif args[0] == "--version":
             print(f"psiamfcpp {__version__}")
         else:
-            _run(args[0], args[1:])
+            with ended_like_ctrl_c():
+                _run(args[0], args[1:])
         # Now, not at exit, where a reader that has left could no longer be told from a fault.
         sys.stdout.flush()
         return 0

@@ -152,24 +152,33 @@ def _add_page(app: FastAPI, guarded: guard.Guard) -> None:
         app.get(f"/{name}", include_in_schema=False)(serve(name))
 
     @app.post("/api/login", response_model=messages.Done, tags=["access"])
-    async def login(body: messages.LoginBody, response: Response) -> dict[str, bool]:
-        """Get a cookie for the token."""
-        if not guarded.knows(body.token):
+    async def login(body: messages.LoginBody, request: Request, response: Response) -> dict[str, bool]:
+        """Get a cookie for the token. After ten wrong ones from an address, one is looked at every two seconds."""
+        code = guarded.login(body.token, request.client.host if request.client else "")
+        if code == 401:
             raise HTTPException(401, "the token is wrong")
+        if code == 429:
+            raise HTTPException(429, guard.REFUSALS[429], {"Retry-After": "2"})
         response.set_cookie(guard.COOKIE, body.token, httponly=True, samesite="strict", path="/")
         return {"ok": True}
+
+
+def _named(given: str) -> str:
+    """What a client that gave itself a name is known as: nobody else, such as a ground station, can be meant by it."""
+    return f"named {given}"
+
+
+def _name(request: Request, given: str | None) -> str:
+    return _named(given) if given else f"rest {request.client.host if request.client else ''}"
 
 
 def _add_commands(app: FastAPI, room: Room) -> None:
     control = room.control
 
-    def name(request: Request, given: str | None) -> str:
-        return given or f"rest {request.client.host if request.client else ''}"
-
     @app.post("/api/targets", status_code=201, response_model=messages.Started, tags=["targets"])
     async def start_target(body: messages.StartBody, request: Request, client: ClientName = None) -> dict[str, Any]:
         """Follow one more target, given its box or a point on it."""
-        number, box = await start(room, name(request, client), body)
+        number, box = await start(room, _name(request, client), body)
         return {"id": number, "box": box}
 
     @app.delete("/api/targets/{number}", response_model=messages.Done, tags=["targets"])
@@ -177,48 +186,48 @@ def _add_commands(app: FastAPI, room: Room) -> None:
         number: Annotated[int, Path(ge=1, le=10**9)], request: Request, client: ClientName = None
     ) -> dict[str, bool]:
         """Let a target go."""
-        await room.run(control.stop, name(request, client), number)
+        await room.run(control.stop, _name(request, client), number)
         return {"ok": True}
 
     @app.delete("/api/targets", response_model=messages.Done, tags=["targets"])
     async def stop_all(request: Request, client: ClientName = None) -> dict[str, bool]:
         """Let all targets go."""
-        await room.run(control.stop, name(request, client))
+        await room.run(control.stop, _name(request, client))
         return {"ok": True}
 
     @app.put("/api/selected", response_model=messages.Done, tags=["targets"])
     async def select(body: messages.SelectBody, request: Request, client: ClientName = None) -> dict[str, bool]:
         """Choose the target that MAVLink speaks of."""
-        await room.run(control.select, name(request, client), body.id)
+        await room.run(control.select, _name(request, client), body.id)
         return {"ok": True}
 
     @app.post("/api/propose", response_model=messages.Proposal, tags=["targets"])
     async def propose(body: messages.PointBody, request: Request, client: ClientName = None) -> dict[str, Any]:
         """The box that a point would be given."""
-        return {"box": await room.run(control.propose, name(request, client), *body.point)}
+        return {"box": await room.run(control.propose, _name(request, client), *body.point)}
 
     @app.post("/api/operator", response_model=messages.Done, tags=["access"])
     async def take(request: Request, client: ClientName = None) -> dict[str, bool]:
         """Take control, or say that one still wants it."""
-        control.take(name(request, client))
+        control.take(_name(request, client))
         return {"ok": True}
 
     @app.delete("/api/operator", response_model=messages.Done, tags=["access"])
     async def hand_over(request: Request, client: ClientName = None) -> dict[str, bool]:
         """Hand control over to whoever commands next."""
-        control.lease.release(name(request, client))
+        control.lease.release(_name(request, client))
         return {"ok": True}
 
     @app.post("/api/recording", response_model=messages.Done, tags=["recording"])
     async def record(request: Request, client: ClientName = None) -> dict[str, bool]:
         """Begin to record video and boxes."""
-        await room.run(control.record, name(request, client), True)
+        await room.run(control.record, _name(request, client), True)
         return {"ok": True}
 
     @app.delete("/api/recording", response_model=messages.Done, tags=["recording"])
     async def stop_recording(request: Request, client: ClientName = None) -> dict[str, bool]:
         """End the recording."""
-        await room.run(control.record, name(request, client), False)
+        await room.run(control.record, _name(request, client), False)
         return {"ok": True}
 
 
@@ -226,9 +235,9 @@ def _add_views(app: FastAPI, room: Room, drawn: Pictures) -> None:
     follower = room.control.follower
 
     @app.get("/api/state", response_model=messages.State, response_model_exclude_unset=True, tags=["watching"])
-    async def state(client: ClientName = None) -> dict[str, Any]:
-        """The newest moment."""
-        return room.state(client or "")
+    async def state(request: Request, client: ClientName = None) -> dict[str, Any]:
+        """Return the current state."""
+        return room.state(_name(request, client))
 
     @app.get("/api/events", response_model=list[messages.EventOut], tags=["watching"])
     async def events(after: Annotated[int, Query(ge=0)] = 0) -> list[Any]:
@@ -258,7 +267,7 @@ def _add_views(app: FastAPI, room: Room, drawn: Pictures) -> None:
             return
         try:
             await socket.accept()
-            await Client(socket, room, client[:100] or connection).run()
+            await Client(socket, room, _named(client[:100]) if client else f"live {connection}").run()
         finally:
             room.clients.discard(connection)
 

@@ -9,6 +9,7 @@ from collections.abc import Callable
 from psiamfcpp.errors import UserError
 from psiamfcpp.geometry import Box
 from psiamfcpp.serve.follower import BusyError, Follower
+from psiamfcpp.serve.limits import Bucket
 from psiamfcpp.serve.propose import propose_box
 from psiamfcpp.serve.recorder import Recorder
 
@@ -63,26 +64,6 @@ class Lease:
         if self._holder is not None and self._clock() - self._seen > LEASE_S:
             self._holder = None
         return self._holder
-
-
-class Bucket:
-    """A rate limit that allows short bursts (a token bucket)."""
-
-    def __init__(self, per_s: float, at_once: float, clock: Callable[[], float] = time.monotonic):
-        self._per_s, self._at_once, self._clock = per_s, at_once, clock
-        self._lock = threading.Lock()
-        self._left, self._at = at_once, clock()
-
-    def take(self) -> bool:
-        """Whether one more is allowed now."""
-        with self._lock:
-            now = self._clock()
-            self._left = min(self._at_once, self._left + (now - self._at) * self._per_s)
-            self._at = now
-            if self._left < 1:
-                return False
-            self._left -= 1
-            return True
 
 
 class Control:

@@ -1,4 +1,4 @@
-"""Reading and tracking in threads of their own: whoever watches or commands never holds them up."""
+"""Tracking in a thread of its own: clients that watch or command never hold it up."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Mapping
-from concurrent.futures import Future
+from concurrent.futures import Future, wait
 from dataclasses import dataclass
 from typing import TypeVar
 
@@ -15,12 +15,13 @@ import numpy as np
 
 from psiamfcpp.errors import UserError
 from psiamfcpp.geometry import Box, Image
+from psiamfcpp.serve.reader import Reader
 from psiamfcpp.trackers import TargetPool, Track
 from psiamfcpp.video.source import Source
 
 MAX_TARGETS = 8
 _MAX_WAITING = 16
-_REOPEN_S = 1.0
+_ANSWER_S = 10.0
 T = TypeVar("T")
 
 
@@ -75,7 +76,7 @@ class Follower:
         Raises:
             UserError: the source cannot be opened.
         """
-        self._open, self._pool = open_source, pool
+        self._pool = pool
         self._changed = threading.Condition()
         self._stop = threading.Event()
         self._incoming: tuple[Image, float] | None = None
@@ -85,17 +86,19 @@ class Follower:
         self._events: deque[Event] = deque(maxlen=200)
         self._event_count = 0
         self._intervals: deque[float] = deque(maxlen=30)
+        self.started = 0
+        """how many targets were started so far"""
         self.newest: Shot | None = None
         self.read_at: float | None = None
         """when the source gave its last frame, by `time.perf_counter`, looked at or not"""
         self.failure: BaseException | None = None
         self.listeners: list[Callable[[], None]] = []
         """called after every frame, command and event, in the thread where it happened; must return at once"""
-        self._source = open_source(self.tell)
-        self.name, self.source_fps = self._source.name, self._source.fps
+        self._reader = Reader(open_source, self._take, self._replayed, self.tell)
+        self.name, self.source_fps = self._reader.name, self._reader.fps
         self._threads = [
             threading.Thread(target=self._guarded, args=(run,), name=name, daemon=True)
-            for run, name in ((self._read, "reader"), (self._follow, "tracker"))
+            for run, name in ((self._reader.run, "reader"), (self._follow, "tracker"))
         ]
 
     def __enter__(self) -> Follower:
@@ -107,12 +110,10 @@ class Follower:
         self._stop.set()
         with self._changed:
             self._changed.notify_all()
-        if self._source.live:
-            # its reader waits for frames that may never come
-            self._source.close()
+        self._reader.stop()
         for thread in self._threads:
             thread.join()
-        self._source.close()
+        self._reader.close()
 
     @property
     def fps(self) -> float:
@@ -141,6 +142,7 @@ class Follower:
                 raise BusyError(f"{MAX_TARGETS} targets are followed already: stop one first")
             number, track = self._pool.add(frame, box)
             self._tracks[number], self._selected = track, number
+            self.started += 1
             self.tell(f"target {number} is followed")
             return number, track
 
@@ -161,14 +163,8 @@ class Follower:
         self._in_tracker(work)
 
     def clear(self) -> None:
-        """Let all targets go."""
-
-        def work() -> None:
-            if self._tracks:
-                self._drop(*self._tracks)
-                self.tell("all targets were stopped")
-
-        self._in_tracker(work)
+        """Stop following all targets."""
+        self._in_tracker(self._drop_all)
 
     def select(self, number: int) -> None:
         """Choose the target that MAVLink speaks of.
@@ -211,11 +207,23 @@ class Follower:
         if self._selected not in self._tracks:
             self._selected = next(reversed(self._tracks), None)
 
+    def _drop_all(self) -> None:
+        if self._tracks:
+            self._drop(*self._tracks)
+            self.tell("all targets were stopped")
+
     def _in_tracker(self, work: Callable[[], T]) -> T:
-        """Run in the tracker's thread, between two frames, and wait for what comes of it."""
+        """Run ``work`` in the tracker's thread, between two frames, and return its result.
+
+        Raises:
+            BusyError: too much is waiting, or no answer came in time; then the work is not done later either,
+                unless it was begun.
+        """
         future: Future[T] = Future()
 
         def run() -> None:
+            if not future.set_running_or_notify_cancel():
+                return
             try:
                 future.set_result(work())
             except BaseException as error:  # belongs to the one who asked
@@ -228,10 +236,13 @@ class Follower:
                 raise BusyError("too many commands are waiting: try again")
             self._commands.append(run)
             self._changed.notify_all()
-        try:
-            return future.result(timeout=10)
-        except TimeoutError:
-            raise BusyError("the tracker did not answer in time: try again") from None
+        # `wait` instead of a timed `result`: before Python 3.11 the latter's error is not the builtin TimeoutError
+        for _ in range(2):
+            if wait([future], timeout=_ANSWER_S).done:
+                return future.result()
+            if future.cancel():
+                break
+        raise BusyError("the tracker did not answer in time: try again")
 
     def _follow(self) -> None:
         last_at = 0.0
@@ -272,60 +283,21 @@ class Follower:
         for listener in list(self.listeners):
             listener()
 
-    def _read(self) -> None:
-        """Frames to the tracker, newest first, from a source that is opened again whenever it ends."""
-        source = self._source
-        while not self._stop.is_set():
-            reason = self._play(source)
-            if self._stop.is_set():
-                return
-            source.close()
-            source = self._reopen(reason)
+    def _take(self, image: Image, read_at: float) -> None:
+        """Keep a frame for the tracker; a frame that was not looked at in time is dropped."""
+        self.read_at = read_at
+        with self._changed:
+            self._incoming = (image, read_at)
+            self._changed.notify_all()
 
-    def _play(self, source: Source) -> str:
-        """Hand on the frames of a source until they end; why they did, if it was not their end."""
-        start, count = time.perf_counter(), 0
-        try:
-            for image in source:
-                now = time.perf_counter()
-                if not source.live:
-                    due = start + count / source.fps
-                    if now - due > 1:
-                        # reading is slower than the file's own rate: there is nothing to catch up with
-                        start, count = now, 0
-                    elif self._stop.wait(max(0.0, due - now)):
-                        return ""
-                count += 1
-                image.flags.writeable = False
-                self.read_at = time.perf_counter()
-                with self._changed:
-                    self._incoming = (image, self.read_at)
-                    self._changed.notify_all()
-                if self._stop.is_set():
-                    return ""
-        except UserError as error:
-            return str(error)
-        return ""
+    def _replayed(self) -> None:
+        """Drop the targets of a file that starts again.
 
-    def _reopen(self, reason: str) -> Source:
-        if reason:
-            self.tell(reason)
-        while True:
-            try:
-                # not at full speed, should it end as soon as it begins
-                self._stop.wait(_REOPEN_S if reason else 0.02)
-                self._source = self._open(self.tell)
-            except UserError as error:
-                if str(error) != reason:
-                    self.tell(str(error))
-                reason = str(error)
-                if not self._stop.is_set():
-                    continue
-                return self._source
-            if not self._source.live:
-                self.clear()
-                self.tell(f"{self.name} starts again")
-            return self._source
+        Queued whatever waits already, and not waited for: the reader has nobody to pass a refusal on to.
+        """
+        with self._changed:
+            self._commands.append(self._drop_all)
+            self._changed.notify_all()
 
     def _guarded(self, run: Callable[[], None]) -> None:
         try:

@@ -13,11 +13,21 @@ from urllib.parse import urlsplit
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from psiamfcpp.errors import UserError
+from psiamfcpp.serve.gate import Gate
+from psiamfcpp.serve.limits import Buckets
 
 COOKIE = "psiamfcpp_token"
 MAX_BODY = 16 * 1024
 _BODY_S = 10.0
+# Guesses at the token, by address: a hand that mistypes needs no more.
+_GUESSES_PER_S, _GUESSES_AT_ONCE = 0.5, 10.0
 SHORTEST_TOKEN = 12
+REFUSALS = {
+    401: "a token is needed: send it as 'Authorization: Bearer TOKEN'",
+    408: "the request did not come in time",
+    413: f"a request may hold {MAX_BODY} bytes",
+    429: "too many wrong tokens: wait some seconds",
+}
 # What must be had before a token can be given.
 _OPEN_PATHS = {"/", "/page.css", "/page.js", "/api/login"}
 
@@ -50,17 +60,32 @@ class Guard:
     def __init__(self, app: ASGIApp, token: str | None):
         self._app = app
         self._token = None if token is None else hashlib.sha256(token.encode()).digest()
+        self.gate = Gate()
+        self._guesses = Buckets(_GUESSES_PER_S, _GUESSES_AT_ONCE)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Serve a request, or refuse it."""
         if scope["type"] not in ("http", "websocket"):
             await self._app(scope, receive, send)
             return
+        with self.gate.serving(_client(scope)):
+            await self._serve(scope, receive, send)
+
+    async def _serve(self, scope: Scope, receive: Receive, send: Send) -> None:
         headers = {name.lower(): value.decode("latin-1") for name, value in scope["headers"]}
         refusal = self._refusal(scope, headers)
+        web = scope["type"] == "http"
+        if refusal is None and web:
+            body = await _whole(receive)
+            if isinstance(body, int):
+                refusal = body, REFUSALS[body]
+            else:
+                receive = _again(body, receive)
         if refusal is None:
-            await self._app(scope, _limited(receive) if scope["type"] == "http" else receive, send)
-        elif scope["type"] == "http":
+            if self.knows(_token(headers)):
+                self.gate.prove(_client(scope))
+            await self._app(scope, receive, send)
+        elif web:
             await _answer(send, "http.response", *refusal)
         else:
             await receive()  # the handshake
@@ -70,6 +95,24 @@ class Guard:
         """Whether this is the token, compared in a time that tells nothing about it."""
         given = hashlib.sha256(token.encode("utf-8", "replace")).digest()
         return self._token is None or hmac.compare_digest(given, self._token)
+
+    def login(self, token: str, address: str) -> int:
+        """Judge an attempt to log in.
+
+        Args:
+            token: what was given.
+            address: where it came from. After ten wrong tokens one more is looked at every two seconds, right or
+                wrong, so that guessing takes for ever; other addresses are not held up.
+
+        Returns:
+            200, 401 for a wrong token, or 429.
+        """
+        if self._guesses.empty(address):
+            return 429
+        return 200 if self.knows(token) else self._wrong(address)
+
+    def _wrong(self, address: str) -> int:
+        return 401 if self._guesses.take(address) else 429
 
     def _refusal(self, scope: Scope, headers: dict[bytes, str]) -> tuple[int, str] | None:
         host = headers.get(b"host", "")
@@ -83,12 +126,20 @@ class Guard:
             return 403, "requests from other sites' pages are refused"
         length = headers.get(b"content-length", "0")
         if not length.isdecimal() or int(length) > MAX_BODY:
-            return 413, f"a request may hold {MAX_BODY} bytes"
+            return 413, REFUSALS[413]
         if self._token is None or scope["path"] in _OPEN_PATHS:
             return None
-        if not self.knows(_token(headers)):
-            return 401, "a token is needed: send it as 'Authorization: Bearer TOKEN'"
-        return None
+        token = _token(headers)
+        # One with the right token is never refused for the guesses of others at its address.
+        if self.knows(token):
+            return None
+        code = self._wrong(_client(scope)[0]) if token else 401
+        return code, REFUSALS[code]
+
+
+def _client(scope: Scope) -> tuple[str, int]:
+    client = scope.get("client")
+    return (client[0], client[1]) if client else ("", 0)
 
 
 def _hostname(host: str) -> str:
@@ -116,20 +167,33 @@ def _token(headers: dict[bytes, str]) -> str:
     return morsel.value if morsel else ""
 
 
-def _limited(receive: Receive) -> Receive:
-    """The same body, cut off where it is longer than is allowed, or does not come."""
-    size, whole = 0, False
+async def _whole(receive: Receive) -> bytes | int:
+    """Return the body of a request, or 408 or 413 where it does not come in time, or is longer than is allowed."""
+    body = b""
+    end = asyncio.get_running_loop().time() + _BODY_S
+    while True:
+        try:
+            # for all of it: each byte would else buy more time
+            message = await asyncio.wait_for(receive(), end - asyncio.get_running_loop().time())
+        except asyncio.TimeoutError:
+            return 408
+        body += message.get("body", b"")
+        if len(body) > MAX_BODY:
+            return 413
+        if not message.get("more_body", False):
+            return body
+
+
+def _again(body: bytes, receive: Receive) -> Receive:
+    """What gives a body that was received already, and then what comes after it."""
+    given = False
 
     async def take() -> Message:
-        nonlocal size, whole
-        try:
-            # once it is there, the next message is that the client left
-            message = await asyncio.wait_for(receive(), None if whole else _BODY_S)
-        except asyncio.TimeoutError:
-            return {"type": "http.disconnect"}
-        whole = not message.get("more_body", False)
-        size += len(message.get("body", b""))
-        return {"type": "http.disconnect"} if size > MAX_BODY else message
+        nonlocal given
+        if given:
+            return await receive()
+        given = True
+        return {"type": "http.request", "body": body, "more_body": False}
 
     return take
 
@@ -137,6 +201,10 @@ def _limited(receive: Receive) -> Receive:
 async def _answer(send: Send, kind: str, code: int, text: str) -> None:
     body = json.dumps({"error": text}).encode()
     headers = [(b"content-type", b"application/json"), (b"content-length", str(len(body)).encode())]
+    if code == 408:
+        headers.append((b"connection", b"close"))
+    if code == 429:
+        headers.append((b"retry-after", b"2"))
     if code == 401:
         headers.append((b"www-authenticate", b"Bearer"))
     await send({"type": f"{kind}.start", "status": code, "headers": headers})

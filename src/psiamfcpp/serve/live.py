@@ -18,7 +18,8 @@ from pydantic import ValidationError
 
 from psiamfcpp.errors import UserError
 from psiamfcpp.serve import messages
-from psiamfcpp.serve.control import Bucket, Control
+from psiamfcpp.serve.control import Control
+from psiamfcpp.serve.limits import Bucket
 from psiamfcpp.serve.pace import caught_up
 from psiamfcpp.serve.pictures import Pictures
 from psiamfcpp.serve.status import status

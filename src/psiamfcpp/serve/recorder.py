@@ -2,39 +2,45 @@
 
 from __future__ import annotations
 
-import csv
+import contextlib
+import os
 import queue
 import threading
 import time
-from collections.abc import Callable
 from pathlib import Path
-from typing import IO, Any
 
 from psiamfcpp.errors import UserError
-from psiamfcpp.serve.follower import Follower, Shot
+from psiamfcpp.serve.follower import BusyError, Follower, Shot
 from psiamfcpp.video.drawing import draw_targets
-from psiamfcpp.video.writer import VideoWriter
+from psiamfcpp.video.writer import LineWriter, VideoWriter
 
 COLUMNS = ("seconds", "frame", "target", "x", "y", "w", "h", "score", "state")
 # Frames that may wait for the encoder; more are left out of the video, and the ones before them shown for longer.
-_WAITING = 4
+_WAITING = 2
 # A gap in the stream becomes a still picture, but a night without one must not fill the disk.
 _LONGEST_STILL_S = 10.0
+# What the system holds back is lost when the power fails: by default up to half a minute of it.
+_SYNC_S = 1.0
 
 
 class Recorder:
     """Writes ``FOLDER/DATE-TIME/video.mkv`` and ``boxes.csv``.
 
-    The video runs at the source's rate whatever rate tracking reached: frames are repeated. Matroska, since what
-    was written until the power fails can still be read.
+    The video runs at the source's rate whatever rate tracking reached: frames are repeated, or shown for longer. It
+    is Matroska, since what was written until the process is killed, the power fails or the disk is full can still be
+    read.
     """
 
     def __init__(self, folder: Path, follower: Follower):
         """Check that the folder can be written to, creating it.
 
         Raises:
-            UserError: it cannot.
+            UserError: it cannot, or PyAV is missing.
         """
+        try:
+            import av  # noqa: F401 - without it a video is on disk minutes late
+        except ImportError:
+            raise UserError("recording needs PyAV: pip install 'psiamfcpp[serve]'") from None
         self._folder, self._follower = folder, follower
         try:
             folder.mkdir(parents=True, exist_ok=True)
@@ -55,12 +61,23 @@ class Recorder:
         return thread is not None and thread.is_alive()
 
     def start(self) -> None:
-        """Begin a recording; nothing happens while one runs."""
+        """Begin a recording, whose files are there when this returns; nothing happens while one runs.
+
+        Raises:
+            BusyError: no frame has come yet.
+            UserError: the files cannot be created.
+        """
         with self._lock:
             if self.on:
                 return
+            shot = self._follower.newest
+            if shot is None:
+                raise BusyError("no frame has come yet: try again")
+            recording = _Recording(self._make_folder(), self._follower.source_fps, shot)
             self._shots = queue.Queue(_WAITING)
-            self._thread = threading.Thread(target=self._run, args=(self._shots,), name="recorder")
+            self._shots.put(shot)
+            self._last = shot.number
+            self._thread = threading.Thread(target=self._run, args=(recording, self._shots), name="recorder")
             self._thread.start()
             if self._take not in self._follower.listeners:
                 self._follower.listeners.append(self._take)
@@ -82,12 +99,13 @@ class Recorder:
             self._last = shot.number
             self._shots.put_nowait(shot)
 
-    def _run(self, shots: queue.Queue[Shot | None]) -> None:
+    def _run(self, recording: _Recording, shots: queue.Queue[Shot | None]) -> None:
         try:
-            folder = self._make_folder()
-            self._follower.tell(f"recording to {folder}")
-            _write(folder, self._follower.source_fps, shots.get)
-            self._follower.tell(f"recorded {folder}")
+            self._follower.tell(f"recording to {recording.folder}")
+            with recording:
+                while (shot := shots.get()) is not None:
+                    recording.write(shot, behind=not shots.empty())
+            self._follower.tell(f"recorded {recording.folder}")
         except (UserError, OSError) as error:
             self._follower.tell(f"recording ended: {error}")
         finally:
@@ -103,41 +121,87 @@ class Recorder:
                 folder.mkdir()
             except FileExistsError:
                 continue
+            except OSError as error:
+                raise UserError(f"recordings {self._folder} cannot be written: {error.strerror or error}") from None
             return folder
         raise UserError(f"recordings {self._folder} holds {name} already")
 
 
-def _write(folder: Path, fps: float, get: Callable[[], Shot | None]) -> None:
-    """Write shots until None comes."""
-    shot = get()
-    if shot is None:
-        return
-    height, width = shot.image.shape[:2]
-    start, written = shot.read_at, 0
-    with (
-        (folder / "boxes.csv").open("w", newline="", encoding="utf-8") as file,
-        VideoWriter(folder / "video.mkv", fps, (width, height)) as video,
-    ):
-        table = csv.writer(file)
-        table.writerow(COLUMNS)
-        while shot is not None:
-            if shot.image.shape[:2] != (height, width):
-                raise UserError(f"the stream changed its size from {width}x{height}: start a new recording")
-            seconds = shot.read_at - start
-            _write_rows(table, file, shot, seconds)
-            picture = draw_targets(shot.image, shot.tracks)
-            due = round(seconds * fps) + 1
-            written = max(written, due - round(_LONGEST_STILL_S * fps))
-            while written < due:
-                video.write(picture)
-                written += 1
-            shot = get()
+class _Recording:
+    """The files of one recording, from its first frame until its ``with`` block ends."""
+
+    def __init__(self, folder: Path, fps: float, first: Shot):
+        self.folder, self._fps = folder, fps
+        height, width = first.image.shape[:2]
+        self._size = (width, height)
+        self._start, self._written = first.read_at, 0
+        self._done = threading.Event()
+        self._syncer = threading.Thread(target=self._sync, name="recorder sync", daemon=True)
+        with contextlib.ExitStack() as stack:
+            stack.callback(self._remove_empty)
+            self._table = stack.enter_context(LineWriter(folder / "boxes.csv", "boxes"))
+            self._video = stack.enter_context(VideoWriter(folder / "video.mkv", fps, self._size))
+            self._table.write(",".join(COLUMNS))
+            self._stack = stack.pop_all()
+
+    def __enter__(self) -> _Recording:
+        self._syncer.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._done.set()
+        self._syncer.join()
+        self._stack.close()
+
+    def write(self, shot: Shot, behind: bool) -> None:
+        """Append a frame and its targets.
+
+        Args:
+            shot: the frame.
+            behind: others wait, so none is repeated: the one before is only shown for longer. Else a processor
+                that encodes fewer frames than the source has would fall behind more and more.
+
+        Raises:
+            UserError: the disk is full, or the stream changed its size.
+        """
+        height, width = shot.image.shape[:2]
+        if (width, height) != self._size:
+            raise UserError(f"the stream changed its size from {self._size[0]}x{self._size[1]}: start a new recording")
+        seconds = max(0.0, shot.read_at - self._start)
+        self._table.write(*_rows(shot, seconds))
+        image = draw_targets(shot.image, shot.tracks)
+        due = round(seconds * self._fps) + 1
+        self._written = max(self._written, due - round(_LONGEST_STILL_S * self._fps))
+        if behind and self._written and due > self._written + 1:
+            self._video.hold(due - self._written - 1)
+            self._written = due - 1
+        while self._written < due:
+            self._video.write(image)
+            self._written += 1
+
+    def _remove_empty(self) -> None:
+        """Remove the folder if nothing was recorded."""
+        with contextlib.suppress(OSError):
+            if not self._written:
+                (self.folder / "boxes.csv").unlink(missing_ok=True)
+                self.folder.rmdir()
+
+    def _sync(self) -> None:
+        """Have the system write what it holds, in a thread of its own, for some cards take their time."""
+        while not self._done.wait(_SYNC_S):
+            for path in self.folder.iterdir():
+                with contextlib.suppress(OSError):
+                    file = os.open(path, os.O_RDONLY)
+                    try:
+                        os.fsync(file)
+                    finally:
+                        os.close(file)
 
 
-def _write_rows(table: Any, file: IO[str], shot: Shot, seconds: float) -> None:
+def _rows(shot: Shot, seconds: float) -> list[str]:
+    rows = []
     for number, track in shot.tracks.items():
-        box = (f"{v:.2f}" for v in track.box)
         score = "" if track.score is None else f"{track.score:.3f}"
-        table.writerow((f"{seconds:.3f}", shot.number, number, *box, score, track.state))
-    # on disk with every frame, whatever ends the flight
-    file.flush()
+        box = ",".join(f"{v:.2f}" for v in track.box)
+        rows.append(f"{seconds:.3f},{shot.number},{number},{box},{score},{track.state or ''}")
+    return rows

@@ -14,17 +14,19 @@ import uvicorn
 
 from psiamfcpp.errors import UserError
 from psiamfcpp.serve.follower import Follower
+from psiamfcpp.serve.gate import Listener
 from psiamfcpp.serve.guard import Guard
 from psiamfcpp.serve.pace import PacedProtocol
 
-# One that asks nothing for so long, or takes nothing, must not keep others out.
+# One that asks nothing for twice so long, or takes nothing, must not keep others out.
 _SILENT_S = 5
+_ACCEPTED_AT_ONCE = 8
 _TAKES_NOTHING_MS = 20_000
 # What the system may hold back for a client that reads slowly: some pictures, not seconds of them.
 _SEND_BUFFER = 256 * 1024
 
 
-def bind(host: str, port: int) -> socket.socket:
+def bind(host: str, port: int) -> Listener:
     """A socket that listens; port 0 takes a free one.
 
     Raises:
@@ -35,7 +37,7 @@ def bind(host: str, port: int) -> socket.socket:
         raise UserError(f"cannot listen on {host} port {port}: a port is a number from 0 to 65535")
     try:
         family, kind, protocol, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
-        listener = socket.socket(family, kind, protocol)
+        listener = Listener(family, kind, protocol)
         try:
             listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             listener.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER)
@@ -53,8 +55,17 @@ def bind(host: str, port: int) -> socket.socket:
 
 def make_server(app: Guard, ready: Callable[[], None] = lambda: None) -> uvicorn.Server:
     """The server of an application, with its limits; ``ready`` is called once, when connections are taken."""
+
+    async def sweep() -> None:
+        app.gate.sweep(2 * _SILENT_S)
+
     config = uvicorn.Config(
         app,
+        # others accept connections, and parse requests, in ways of their own
+        loop="asyncio",
+        http="h11",
+        # those that come at once are taken in small lots, between which the others are served
+        backlog=_ACCEPTED_AT_ONCE,
         log_level="error",
         access_log=False,
         server_header=False,
@@ -67,9 +78,9 @@ def make_server(app: Guard, ready: Callable[[], None] = lambda: None) -> uvicorn
         ws_ping_interval=10.0,
         ws_ping_timeout=30.0,
         ws_per_message_deflate=False,  # pictures are compressed already
-        limit_concurrency=64,
         timeout_keep_alive=_SILENT_S,
-        timeout_notify=_SILENT_S,
+        callback_notify=sweep,
+        timeout_notify=1,
         timeout_graceful_shutdown=2,
     )
     # uvicorn takes a WebSocket that was refused for a fault, and would fill the log for whoever knocks
@@ -81,7 +92,7 @@ def _not_refusal(record: logging.LogRecord) -> bool:
     return "without completing handshake" not in str(record.msg)
 
 
-def run(server: uvicorn.Server, listener: socket.socket, follower: Follower) -> None:
+def run(server: uvicorn.Server, listener: Listener, follower: Follower) -> None:
     """Serve until SIGINT or SIGTERM, until ``server.should_exit`` is set, or until following fails.
 
     Args:
@@ -94,6 +105,8 @@ def run(server: uvicorn.Server, listener: socket.socket, follower: Follower) -> 
         if follower.failure is not None:
             server.should_exit = True
 
+    guard: Any = server.config.app
+    listener.gate = guard.gate
     follower.listeners.append(check)
     try:
         with _quiet_signals():
@@ -107,22 +120,8 @@ def run(server: uvicorn.Server, listener: socket.socket, follower: Follower) -> 
 
 class _Server(uvicorn.Server):
     def __init__(self, config: uvicorn.Config, ready: Callable[[], None]):
-        config.callback_notify = self._hang_up
         super().__init__(config)
         self._ready = ready
-        self._silent: dict[Any, Any] = {}
-
-    async def _hang_up(self) -> None:
-        """Close connections that asked for nothing new since the last call; uvicorn waits for ever for a request."""
-        silent = {}
-        for connection in self.server_state.connections:
-            cycle = getattr(connection, "cycle", connection)  # WebSockets have none, and pings of their own
-            if cycle is None or getattr(cycle, "response_complete", False):
-                silent[connection] = cycle
-        for connection, cycle in silent.items():
-            if self._silent.get(connection, connection) is cycle:
-                connection.transport.close()
-        self._silent = silent
 
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
         await super().startup(sockets)

@@ -22,6 +22,9 @@ if TYPE_CHECKING:
 
 
 SUFFIXES = (".mp4", ".mkv", ".avi")
+BEARS_CUTS = ".mkv"
+"""the format that players open although its end is missing"""
+_CLUSTER_MS = 100
 _PROBE = 2**16
 _DISK = "check that the disk has room"
 
@@ -30,8 +33,10 @@ class VideoWriter:
     """A video that takes its final name only once it is whole.
 
     Whatever ends the ``with`` block, Ctrl-C or an error, the frames written so far become a valid video.
-    Where no frame was written, or where the disk failed, nothing is left. H.264 where PyAV is installed, else
-    MPEG-4.
+    Where no frame was written, nothing is left. Where the disk is full, a Matroska file (``.mkv``) keeps what was
+    written before, since players open it although it is cut; of the other formats nothing is left.
+    H.264 where PyAV is installed, else MPEG-4. With PyAV, a Matroska file is on disk but for its last 0.1 s while it
+    is written, in ``.NAME.PID.part.mkv``: it survives the end of the process, whatever that is.
     """
 
     def __init__(self, path: str | Path, fps: float, size: tuple[int, int]) -> None:
@@ -78,8 +83,7 @@ class VideoWriter:
         """Append a frame ``(H, W, 3)`` uint8 BGR.
 
         Raises:
-            UserError: a frame of another size than the video, or a disk that is full; in the latter case the
-                video is removed.
+            UserError: a frame of another size than the video, or a disk that is full, which ends the video.
         """
         height, width = frame.shape[:2]
         if (width, height) != self._size:
@@ -92,42 +96,118 @@ class VideoWriter:
         try:
             self._encoder.write(np.ascontiguousarray(frame))
         except OSError as error:
-            self._abandon()
-            raise self._failure(error) from None
+            raise self._failed(error) from None
         self._count += 1
+
+    def hold(self, frames: int) -> None:
+        """Show the frame that was written last for so many frames more.
+
+        With PyAV this costs nothing: the next frame is stamped later.
+
+        Raises:
+            UserError: the disk is full, which ends the video.
+        """
+        try:
+            self._encoder.hold(frames)
+        except OSError as error:
+            raise self._failed(error) from None
 
     def close(self) -> None:
         """Finish the video and give it its name; may be called twice.
 
         Raises:
-            UserError: the disk is full; nothing is left.
+            UserError: the disk is full.
         """
         if not self._open:
-            return
-        if not self._count:
-            self._abandon()
             return
         self._open = False
         try:
             self._encoder.finish()
-            self._part.replace(self._path)
+            if self._count:
+                self._part.replace(self._path)
         except OSError as error:
-            raise self._failure(error) from None
+            if self._count:
+                raise self._failure(error) from None
         finally:
-            self._part.unlink(missing_ok=True)
+            # interrupted for a second time, or nothing was written
+            self._keep_what_plays()
 
-    def _abandon(self) -> None:
+    def _failed(self, error: OSError) -> UserError:
+        """End the video that a write could not go on with."""
         self._open = False
         with contextlib.suppress(OSError):
             self._encoder.finish()
-        self._part.unlink(missing_ok=True)
+        return self._failure(error)
 
     def _failure(self, error: OSError) -> UserError:
-        return UserError(f"video {self._path} cannot be written: {error.strerror or error}; {_DISK}")
+        kept = self._keep_what_plays()
+        found = f"; what was written until then is in {kept}" if kept else ""
+        return UserError(f"video {self._path} cannot be written: {error.strerror or error}; {_DISK}{found}")
+
+    def _keep_what_plays(self) -> Path | None:
+        """Name what an unfinished video left, where players open it and nothing is overwritten; remove it elsewhere."""
+        kept = None
+        if self._count and self._path.suffix.lower() == BEARS_CUTS and self._part.exists():
+            path = self._path if not self._path.exists() else self._path.with_stem(f"{self._path.stem}.cut")
+            with contextlib.suppress(OSError):
+                kept = self._part.replace(path)
+        self._part.unlink(missing_ok=True)
+        return kept
+
+
+class LineWriter:
+    """A text file that is on disk line by line, and never holds a part of what was written at once."""
+
+    def __init__(self, path: str | Path, name: str) -> None:
+        """Start the file anew.
+
+        Args:
+            path: the file.
+            name: what messages call it.
+
+        Raises:
+            UserError: it cannot be created.
+        """
+        self._path, self._name, self._size = Path(path), name, 0
+        try:
+            # unbuffered: only then is a line that did not fit known, and taken back, at once
+            self._file = self._path.open("wb", buffering=0)
+        except OSError as error:
+            raise UserError(f"{name} {path} cannot be written: {error.strerror or error}") from None
+
+    def __enter__(self) -> LineWriter:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def write(self, *lines: str) -> None:
+        """Append lines, all or none of them.
+
+        Raises:
+            UserError: the disk is full; the lines before stay.
+        """
+        data = "".join(f"{line}\n" for line in lines).encode()
+        try:
+            written = self._file.write(data)
+            reason = "" if written == len(data) else "the line did not fit"
+        except OSError as error:
+            reason = error.strerror or str(error)
+        if reason:
+            with contextlib.suppress(OSError):
+                self._file.truncate(self._size)
+            raise UserError(f"{self._name} {self._path} cannot be written: {reason}; {_DISK}")
+        self._size += len(data)
+
+    def close(self) -> None:
+        """Close the file; may be called twice."""
+        self._file.close()
 
 
 class BoxWriter:
-    """A text file with one ``x,y,w,h`` line a frame, on disk as soon as it is written, never half a line."""
+    """A text file with one ``x,y,w,h`` line per frame, on disk as soon as it is written, never half a line."""
 
     def __init__(self, path: str | Path) -> None:
         """Start the file anew.
@@ -135,12 +215,7 @@ class BoxWriter:
         Raises:
             UserError: it cannot be created.
         """
-        self._path, self._size = Path(path), 0
-        try:
-            # unbuffered: only then is a line that did not fit known, and taken back, at once
-            self._file = self._path.open("wb", buffering=0)
-        except OSError as error:
-            raise UserError(f"boxes {path} cannot be written: {error.strerror or error}") from None
+        self._lines = LineWriter(path, "boxes")
 
     def __enter__(self) -> BoxWriter:
         return self
@@ -156,21 +231,11 @@ class BoxWriter:
         Raises:
             UserError: the disk is full; the lines before stay.
         """
-        line = (",".join(f"{v:.2f}" for v in box) + "\n").encode()
-        try:
-            written = self._file.write(line)
-            reason = "" if written == len(line) else "the line did not fit"
-        except OSError as error:
-            reason = error.strerror or str(error)
-        if reason:
-            with contextlib.suppress(OSError):
-                self._file.truncate(self._size)
-            raise UserError(f"boxes {self._path} cannot be written: {reason}; {_DISK}")
-        self._size += len(line)
+        self._lines.write(",".join(f"{v:.2f}" for v in box))
 
     def close(self) -> None:
         """Close the file; may be called twice."""
-        self._file.close()
+        self._lines.close()
 
 
 class _H264:
@@ -181,9 +246,14 @@ class _H264:
 
         self._av = av
         rate = Fraction(fps).limit_denominator(1001)
-        self._container = av.open(str(path), "w")
         # a tracker shares the processor: the slower presets would take more of it than the tracker does
         options = {"crf": "23", "preset": "veryfast"}
+        on_disk: dict[str, str] = {}
+        if path.suffix.lower() == BEARS_CUTS:
+            # What the encoder, the cluster and the buffer hold is lost with the process: by default 14 s and more.
+            options["tune"] = "zerolatency"
+            on_disk = {"cluster_time_limit": str(_CLUSTER_MS), "flush_packets": "1"}
+        self._container = av.open(str(path), "w", options=on_disk)
         self._stream = self._container.add_stream("libx264", rate=rate, options=options)
         self._stream.width, self._stream.height = size
         self._stream.pix_fmt = "yuv420p"
@@ -194,6 +264,9 @@ class _H264:
         picture.pts, picture.time_base = self._count, self._time_base
         self._count += 1
         self._mux(picture)
+
+    def hold(self, frames: int) -> None:
+        self._count += frames
 
     def finish(self) -> None:
         try:
@@ -223,6 +296,11 @@ class _Mpeg4:
 
     def write(self, frame: Image) -> None:
         self._writer.write(frame)
+        self._last = frame
+
+    def hold(self, frames: int) -> None:
+        for _ in range(frames):
+            self._writer.write(self._last)
 
     def finish(self) -> None:
         self._writer.release()

@@ -272,7 +272,7 @@ while True:
 
 @pytest.mark.slow
 def test_the_command_serves_a_model(tiny_model: Path, blob_frame: Callable[..., Image]) -> None:
-    from psiamfcpp.tracking import Tracker
+    from psiamfcpp import Tracker
 
     words = [sys.executable, "-m", "psiamfcpp", "trax", "--model", str(tiny_model), "--plain", "--threads", "1"]
     served, direct = open_trax(shlex.join(words)), Tracker(str(tiny_model), threads=1, plain=True)

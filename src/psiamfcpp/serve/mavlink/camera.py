@@ -1,4 +1,4 @@
-"""The camera: what it says of itself, what it is told, and what it tells of the target.
+"""The camera: what it says of itself, which commands it takes, and what it reports of the target.
 
 It speaks MAVLink's camera protocol (https://mavlink.io/en/services/camera.html) and only ever tells where the target
 is. It sends nothing that an autopilot takes as a wish to move; so bearings go out as NAMED_VALUE_FLOAT, not as
@@ -17,18 +17,20 @@ from typing import Any
 
 from pymavlink.dialects.v20 import common as mav
 
-from psiamfcpp import __version__
 from psiamfcpp.errors import UserError
 from psiamfcpp.geometry import Box
 from psiamfcpp.serve.control import Control, NotOperatorError, TooManyError
-from psiamfcpp.serve.follower import BusyError, Shot, bearing
+from psiamfcpp.serve.follower import BusyError
+from psiamfcpp.serve.mavlink.commands import Commands
 from psiamfcpp.serve.mavlink.link import Link, Peer
-from psiamfcpp.trackers import Track
+from psiamfcpp.serve.mavlink.reports import Reports
 
 _COMPONENT = mav.MAV_COMP_ID_CAMERA
 _HEARTBEAT_US = 1_000_000
-# Faster than any camera here, and a quarter of what 57600 baud can carry.
-_SHORTEST_INTERVAL_US = 20_000
+# Ground stations take a component whose heartbeat is late for lost.
+_HEARTBEAT_RANGE_US = (100_000, _HEARTBEAT_US)
+# Faster than any camera here, and a quarter of what 57600 baud can carry; and what MESSAGE_INTERVAL can say.
+_INTERVAL_RANGE_US = (20_000, 2**31 - 1)
 _DEFAULT_INTERVAL_US = {mav.MAVLINK_MSG_ID_NAMED_VALUE_FLOAT: 200_000}
 _LONGEST_WAIT_S = 0.1
 # Legacy commands that ask for one message each; ground stations fall back to them.
@@ -39,14 +41,17 @@ _ASKING = {
     mav.MAV_CMD_REQUEST_VIDEO_STREAM_INFORMATION: mav.MAVLINK_MSG_ID_VIDEO_STREAM_INFORMATION,
     mav.MAV_CMD_REQUEST_VIDEO_STREAM_STATUS: mav.MAVLINK_MSG_ID_VIDEO_STREAM_STATUS,
 }
-_NAN = math.nan
-# of CAMERA_TRACKING_TARGET_DATA; pymavlink lacks its name
-_NO_TARGET_DATA = 0
-_PAUSE_AFTER_FAULT_S = 1.0
+_COMMANDS = ("COMMAND_LONG", "COMMAND_INT")
+_GOOD = (mav.MAV_RESULT_ACCEPTED, mav.MAV_RESULT_IN_PROGRESS)
+_PAUSE_AFTER_FAULT_S = 0.05
+_REPORTED_AGAIN_S = 10.0
 
 
 class Camera:
-    """A MAVLink camera component, served by a thread of its own while its ``with`` block lasts.
+    """A MAVLink camera component, served while its ``with`` block lasts.
+
+    One thread hears and sends; it never waits for the tracker or for GrabCut, so heartbeats go on. Another carries
+    out the commands that start and stop targets.
 
     Args:
         control: what it commands and tells of.
@@ -59,48 +64,54 @@ class Camera:
     def __init__(self, control: Control, link: Link, system: int = 1, fov: float | None = None, stream: str = ""):
         if not 1 <= system <= 255:
             raise UserError(f"mavlink system is {system}: give 1 to 255")
-        self._control, self._link, self._fov, self._stream = control, link, fov, stream
+        self._control, self._link, self._fov = control, link, fov
         self._mav = mav.MAVLink(None, system, _COMPONENT)
         self._parsers: dict[Peer, mav.MAVLink] = {}
-        self._boot = time.monotonic()
         # the target that was taken up by MAVLink last, to be let go with the next
         self._own: int | None = None
         self._intervals_us: dict[int, int] = {mav.MAVLINK_MSG_ID_HEARTBEAT: _HEARTBEAT_US}
         if fov is not None:
             self._intervals_us |= _DEFAULT_INTERVAL_US
         self._due: dict[int, float] = {}
-        self._makers: dict[int, Callable[[], list[Any]]] = {
-            mav.MAVLINK_MSG_ID_HEARTBEAT: self._heartbeat,
-            mav.MAVLINK_MSG_ID_CAMERA_INFORMATION: self._information,
-            mav.MAVLINK_MSG_ID_CAMERA_SETTINGS: self._settings,
-            mav.MAVLINK_MSG_ID_CAMERA_CAPTURE_STATUS: self._capture_status,
-            mav.MAVLINK_MSG_ID_VIDEO_STREAM_INFORMATION: self._stream_information,
-            mav.MAVLINK_MSG_ID_VIDEO_STREAM_STATUS: self._stream_status,
-            mav.MAVLINK_MSG_ID_CAMERA_TRACKING_IMAGE_STATUS: self._image_status,
-        }
-        if fov is not None:
-            self._makers[mav.MAVLINK_MSG_ID_NAMED_VALUE_FLOAT] = self._bearings
+        self._makers = Reports(control, fov, stream).makers
+        self._sending = threading.Lock()
+        self._reported: dict[str, float] = {}
+        self._commands = Commands(self._report)
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, name="mavlink", daemon=True)
 
     def __enter__(self) -> Camera:
+        self._commands.__enter__()
         self._thread.start()
         return self
 
     def __exit__(self, *_: object) -> None:
         self._stop.set()
         self._thread.join()
+        self._commands.__exit__()
 
     def _run(self) -> None:
         while not self._stop.is_set():
+            wait = self._tell()
             try:
-                wait = self._tell()
                 received = self._link.receive(min(wait, _LONGEST_WAIT_S))
-                if received is not None:
-                    self._hear(*received)
             except Exception as error:  # a fault of ours here must not end the tracking
-                self._control.follower.tell(f"mavlink failed: {type(error).__name__}: {error}")
+                self._report(error)
                 self._stop.wait(_PAUSE_AFTER_FAULT_S)
+                continue
+            if received is not None:
+                try:
+                    self._hear(*received)
+                except Exception as error:  # nor may a packet, or the next one not be heard
+                    self._report(error)
+
+    def _report(self, error: Exception) -> None:
+        """Tell of a fault; of the same one not at every packet."""
+        text, now = f"mavlink failed: {type(error).__name__}: {error}", time.monotonic()
+        if now - self._reported.get(text, -math.inf) > _REPORTED_AGAIN_S:
+            self._reported = {known: at for known, at in self._reported.items() if now - at <= _REPORTED_AGAIN_S}
+            self._reported[text] = now
+            self._control.follower.tell(text)
 
     # what is heard
 
@@ -124,54 +135,68 @@ class Camera:
             if packet.get_srcSystem() == self._mav.srcSystem and packet.get_srcComponent() == _COMPONENT:
                 # our own, come back by a router
                 continue
-            self._link.accept(peer)
-            self._take(packet)
+            self._link.accept(peer, packet.get_type() in _COMMANDS and self._for_us(packet))
+            self._take(packet, peer)
 
-    def _take(self, packet: Any) -> None:
-        client = _client(packet)
+    def _for_us(self, packet: Any) -> bool:
+        mine = (0, self._mav.srcSystem)
+        return packet.target_system in mine and packet.target_component in (mav.MAV_COMP_ID_ALL, _COMPONENT)
+
+    def _take(self, packet: Any, peer: Peer) -> None:
+        # the same system and component from elsewhere is another station: QGroundControls all have the same
+        client = f"mavlink {packet.get_srcSystem()}/{packet.get_srcComponent()} at {peer}"
         kind = packet.get_type()
         if kind == "HEARTBEAT":
             self._control.lease.keep(client)
-        if kind not in ("COMMAND_LONG", "COMMAND_INT"):
+        if kind not in _COMMANDS or not self._for_us(packet):
             return
-        mine = packet.target_system == self._mav.srcSystem and packet.target_component == _COMPONENT
-        if not mine and (packet.target_system not in (0, self._mav.srcSystem) or packet.target_component != 0):
+        work = {
+            mav.MAV_CMD_CAMERA_TRACK_POINT: self._track_point,
+            mav.MAV_CMD_CAMERA_TRACK_RECTANGLE: self._track_rectangle,
+            mav.MAV_CMD_CAMERA_STOP_TRACKING: self._stop_tracking,
+        }.get(packet.command)
+        params = _params(packet)
+        if work is None:
+            self._answer(packet, *self._obey(packet, params))
             return
-        result, answers = self._obey(packet, client)
-        if not mine and result != mav.MAV_RESULT_ACCEPTED:
+        # A stop after a new start is another one. Numbers as text, so that NaN is like NaN.
+        stops = packet.command == mav.MAV_CMD_CAMERA_STOP_TRACKING
+        key = (packet.command, *map(str, params), self._control.follower.started if stops else None)
+        self._commands.give(
+            client,
+            key,
+            getattr(packet, "confirmation", 0) > 0,
+            lambda: self._attempt(work, client, params),
+            lambda result: self._answer(packet, result, []),
+        )
+
+    def _answer(self, packet: Any, result: int, messages: list[Any]) -> None:
+        if packet.target_component == mav.MAV_COMP_ID_ALL and result not in _GOOD:
             # a command to everybody that is not for cameras: whom it is for will answer
             return
         ack = mav.MAVLink_command_ack_message(
             packet.command, result, 0, 0, packet.get_srcSystem(), packet.get_srcComponent()
         )
-        for message in (ack, *answers):
+        for message in (ack, *messages):
             self._send(message)
 
-    def _obey(self, packet: Any, client: str) -> tuple[int, list[Any]]:
-        """The result of a command, and the messages that it asked for."""
+    def _obey(self, packet: Any, params: list[float]) -> tuple[int, list[Any]]:
+        """The result of a command that only asks for messages, and those messages."""
         command = packet.command
-        x, y = (packet.param5, packet.param6) if packet.get_type() == "COMMAND_LONG" else (packet.x, packet.y)
-        params = [packet.param1, packet.param2, packet.param3, packet.param4, x, y]
         if command == mav.MAV_CMD_REQUEST_MESSAGE:
             return self._request(params[0])
         if command in _ASKING:
             return self._request(_ASKING[command])
         if command == mav.MAV_CMD_SET_MESSAGE_INTERVAL:
-            return self._set_interval(params[0], params[1]), []
+            by_name = packet.target_system != 0 and packet.target_component == _COMPONENT
+            return self._set_interval(params[0], params[1], by_name), []
         if command == mav.MAV_CMD_GET_MESSAGE_INTERVAL:
             number = _whole(params[0])
             if number not in self._makers:
                 return mav.MAV_RESULT_UNSUPPORTED, []
             interval = self._intervals_us.get(number, -1)
             return mav.MAV_RESULT_ACCEPTED, [mav.MAVLink_message_interval_message(number, interval)]
-        work = {
-            mav.MAV_CMD_CAMERA_TRACK_POINT: self._track_point,
-            mav.MAV_CMD_CAMERA_TRACK_RECTANGLE: self._track_rectangle,
-            mav.MAV_CMD_CAMERA_STOP_TRACKING: self._stop_tracking,
-        }.get(command)
-        if work is None:
-            return mav.MAV_RESULT_UNSUPPORTED, []
-        return self._attempt(work, client, params), []
+        return mav.MAV_RESULT_UNSUPPORTED, []
 
     def _attempt(self, work: Callable[[str, list[float]], None], client: str, params: list[float]) -> int:
         try:
@@ -216,11 +241,13 @@ class Camera:
         maker = self._makers.get(_whole(wanted))
         return (mav.MAV_RESULT_UNSUPPORTED, []) if maker is None else (mav.MAV_RESULT_ACCEPTED, maker())
 
-    def _set_interval(self, wanted: float, interval: float) -> int:
+    def _set_interval(self, wanted: float, interval: float, by_name: bool) -> int:
         number = _whole(wanted)
         if number not in self._makers:
             return mav.MAV_RESULT_UNSUPPORTED
-        if not (interval in (-1, 0) or _SHORTEST_INTERVAL_US <= interval <= 3.6e9):
+        heartbeat = number == mav.MAVLINK_MSG_ID_HEARTBEAT
+        shortest, longest = _HEARTBEAT_RANGE_US if heartbeat else _INTERVAL_RANGE_US
+        if not (interval in (-1, 0) or shortest <= interval <= longest) or (heartbeat and not by_name):
             return mav.MAV_RESULT_DENIED
         self._due.pop(number, None)
         if interval > 0:
@@ -242,113 +269,21 @@ class Camera:
         for number, interval_us in list(self._intervals_us.items()):
             due = self._due.get(number, now)
             if due <= now:
-                for message in self._makers[number]():
-                    self._send(message)
                 # from when it was due, so that the rate is held; but nothing is made up for
-                due = max(due + interval_us / 1e6, now)
-            self._due[number] = due
+                self._due[number] = max(due + interval_us / 1e6, now)
+                try:
+                    for message in self._makers[number]():
+                        self._send(message)
+                except Exception as error:  # of one message; the others, above all the heartbeat, go on
+                    self._report(error)
+            else:
+                self._due[number] = due
         return max(0.0, min(self._due[number] for number in self._intervals_us) - time.monotonic())
 
     def _send(self, message: Any) -> None:
-        self._link.send(message.pack(self._mav))
-        self._mav.seq = (self._mav.seq + 1) % 256
-
-    def _heartbeat(self) -> list[Any]:
-        kind, autopilot = mav.MAV_TYPE_CAMERA, mav.MAV_AUTOPILOT_INVALID
-        return [mav.MAVLink_heartbeat_message(kind, autopilot, 0, 0, mav.MAV_STATE_ACTIVE, 3)]
-
-    def _information(self) -> list[Any]:
-        width, height = self._size_or_zero()
-        flags = mav.CAMERA_CAP_FLAGS_HAS_TRACKING_POINT | mav.CAMERA_CAP_FLAGS_HAS_TRACKING_RECTANGLE
-        if self._stream:
-            flags |= mav.CAMERA_CAP_FLAGS_HAS_VIDEO_STREAM
-        major, minor, patch = (int(part) for part in __version__.split(".")[:3])
-        return [
-            mav.MAVLink_camera_information_message(
-                self._time(),
-                _text("psiamfcpp", 32),
-                _text("tracker", 32),
-                major | minor << 8 | patch << 16,
-                _NAN,
-                _NAN,
-                _NAN,
-                width,
-                height,
-                0,
-                flags,
-                0,
-                b"",
-            )
-        ]
-
-    def _settings(self) -> list[Any]:
-        return [mav.MAVLink_camera_settings_message(self._time(), mav.CAMERA_MODE_VIDEO, _NAN, _NAN)]
-
-    def _capture_status(self) -> list[Any]:
-        recorder = self._control.recorder
-        recording = int(recorder is not None and recorder.on)
-        return [mav.MAVLink_camera_capture_status_message(self._time(), 0, recording, 0.0, 0, 0.0)]
-
-    def _stream_information(self) -> list[Any]:
-        width, height = self._size_or_zero()
-        return [
-            mav.MAVLink_video_stream_information_message(
-                1,
-                1,
-                mav.VIDEO_STREAM_TYPE_RTSP,
-                self._running(),
-                self._control.follower.source_fps,
-                width,
-                height,
-                0,
-                0,
-                round(self._fov or 0),
-                b"camera",
-                self._stream.encode()[:160],
-            )
-        ]
-
-    def _stream_status(self) -> list[Any]:
-        width, height = self._size_or_zero()
-        rate = self._control.follower.source_fps
-        fov = round(self._fov or 0)
-        return [mav.MAVLink_video_stream_status_message(1, self._running(), rate, width, height, 0, 0, fov)]
-
-    def _image_status(self) -> list[Any]:
-        shot, track = self._target()
-        status, mode, data = (
-            mav.CAMERA_TRACKING_STATUS_FLAGS_IDLE,
-            mav.CAMERA_TRACKING_MODE_NONE,
-            _NO_TARGET_DATA,
-        )
-        corners = [_NAN] * 4
-        if shot is not None and track is not None:
-            mode, data = mav.CAMERA_TRACKING_MODE_RECTANGLE, mav.CAMERA_TRACKING_TARGET_DATA_IN_STATUS
-            if track.state == "lost":
-                # where it was is not where it is: a place would be taken for one
-                status = mav.CAMERA_TRACKING_STATUS_FLAGS_ERROR
-            else:
-                status = mav.CAMERA_TRACKING_STATUS_FLAGS_ACTIVE
-                height, width = shot.image.shape[:2]
-                x, y, w, h = track.box
-                corners = [min(max(v, 0.0), 1.0) for v in (x / width, y / height, (x + w) / width, (y + h) / height)]
-        return [mav.MAVLink_camera_tracking_image_status_message(status, mode, data, _NAN, _NAN, _NAN, *corners)]
-
-    def _bearings(self) -> list[Any]:
-        shot, track = self._target()
-        if shot is None or track is None or track.state == "lost" or self._fov is None:
-            return []
-        names = (b"trk_az_deg", b"trk_el_deg")
-        values = bearing(track, shot.image, self._fov)
-        return [
-            mav.MAVLink_named_value_float_message(self._time(), name, value)
-            for name, value in zip(names, values, strict=True)
-        ]
-
-    def _target(self) -> tuple[Shot | None, Track | None]:
-        shot = self._control.follower.newest
-        track = None if shot is None or shot.selected is None else shot.tracks.get(shot.selected)
-        return shot, track
+        with self._sending:
+            self._link.send(message.pack(self._mav))
+            self._mav.seq = (self._mav.seq + 1) % 256
 
     def _selected(self) -> int | None:
         shot = self._control.follower.newest
@@ -361,18 +296,11 @@ class Camera:
         height, width = shot.image.shape[:2]
         return width, height
 
-    def _size_or_zero(self) -> tuple[int, int]:
-        return self._size() if self._control.follower.newest is not None else (0, 0)
 
-    def _running(self) -> int:
-        return mav.VIDEO_STREAM_STATUS_FLAGS_RUNNING if self._control.follower.newest is not None else 0
-
-    def _time(self) -> int:
-        return int(1000 * (time.monotonic() - self._boot)) % 2**32
-
-
-def _client(packet: Any) -> str:
-    return f"mavlink {packet.get_srcSystem()}/{packet.get_srcComponent()}"
+def _params(packet: Any) -> list[float]:
+    """The first six parameters of a COMMAND_LONG or COMMAND_INT."""
+    x, y = (packet.param5, packet.param6) if packet.get_type() == "COMMAND_LONG" else (packet.x, packet.y)
+    return [packet.param1, packet.param2, packet.param3, packet.param4, x, y]
 
 
 def _shares(values: list[float]) -> list[float]:
@@ -384,7 +312,3 @@ def _shares(values: list[float]) -> list[float]:
 def _whole(value: float) -> int:
     """A number that came as a float; -1 where it is none."""
     return int(value) if math.isfinite(value) and value == int(value) else -1
-
-
-def _text(text: str, size: int) -> list[int]:
-    return list(text.encode()[:size].ljust(size, b"\0"))

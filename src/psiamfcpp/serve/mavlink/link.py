@@ -4,19 +4,24 @@ from __future__ import annotations
 
 import contextlib
 import socket
+import threading
 import time
 from collections.abc import Callable
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 from psiamfcpp.errors import UserError
+from psiamfcpp.serve.limits import Bucket, Buckets
 
 _FORMS = "udpout:HOST:PORT, udpin:HOST:PORT or serial:DEVICE[:BAUD]"
 _SERIAL_BAUD = 57600
-_MOST_PEERS = 8
+_MOST_PEERS = 16
 _PEER_S = 15.0
 _REOPEN_S = 1.0
-# A ground station and an autopilot send some dozens of packets a second; more would take time from the tracker.
-_MOST_PER_S = 500
+# A ground station and an autopilot send some dozens of packets a second; more would take time from the tracker. Each
+# peer has its own share, so that a flood of one costs no other a command; those not yet known share what is left,
+# by address and in all.
+_PEER_PER_S, _STRANGER_PER_S, _STRANGERS_PER_S = 500.0, 100.0, 300.0
+_BUFFER = 2**20
 _MARKS = (0xFD, 0xFE)
 
 Peer = Any
@@ -32,8 +37,8 @@ class Link(Protocol):
         """Bytes and where they came from; None if none came in time."""
         ...
 
-    def accept(self, peer: Peer) -> None:
-        """What came from a peer was MAVLink: it is spoken to from now on."""
+    def accept(self, peer: Peer, commands: bool = False) -> None:
+        """Note that a peer sent MAVLink, so that it is spoken to from now on; ``commands``: it commanded us."""
         ...
 
     def send(self, data: bytes) -> None:
@@ -79,9 +84,15 @@ class UdpLink:
         family, kind, protocol, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)[0]
         self._clock = clock
         self._fixed = None if listen else address
-        self._peers: dict[Peer, float] = {}
-        self._second, self._count = 0, 0
+        self._lock = threading.Lock()
+        self._peers: dict[Peer, _Seen] = {}
+        self._by_peer = Buckets(_PEER_PER_S, _PEER_PER_S, clock)
+        self._by_address = Buckets(_STRANGER_PER_S, _STRANGER_PER_S, clock)
+        self._strangers = Bucket(_STRANGERS_PER_S, _STRANGERS_PER_S, clock)
         self._socket = socket.socket(family, kind, protocol)
+        with contextlib.suppress(OSError):
+            # a flood that comes while the processor is busy otherwise must not push out the rest
+            self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _BUFFER)
         if listen:
             try:
                 self._socket.bind(address)
@@ -91,27 +102,37 @@ class UdpLink:
 
     def receive(self, timeout: float) -> tuple[bytes, Peer] | None:
         """See `Link`."""
-        self._socket.settimeout(max(timeout, 0.001))
-        try:
-            data, peer = self._socket.recvfrom(2048)
-        except OSError:
-            # nothing in time; or nobody was there for what was sent last, which UDP tells here
-            return None
-        # cheaply, before anything is parsed
-        if not data or data[0] not in _MARKS or self._too_many():
-            return None
-        return data, peer
+        end = time.monotonic() + timeout
+        while True:
+            self._socket.settimeout(max(end - time.monotonic(), 0.001))
+            try:
+                data, peer = self._socket.recvfrom(2048)
+            except OSError:
+                # nothing in time; or nobody was there for what was sent last, which UDP tells here
+                return None
+            # cheaply, before anything is parsed
+            if data and data[0] in _MARKS and self._allowed(peer):
+                return data, peer
+            if time.monotonic() >= end:
+                return None
 
-    def accept(self, peer: Peer) -> None:
-        """See `Link`."""
-        if peer in self._peers or len(self._peers) < _MOST_PEERS:
-            self._peers[peer] = self._clock()
+    def accept(self, peer: Peer, commands: bool = False) -> None:
+        """See `Link`; where there are too many, the one that was heard longest ago and never commanded goes."""
+        with self._lock:
+            seen = self._peers.get(peer)
+            if seen is None and len(self._peers) >= _MOST_PEERS:
+                del self._peers[
+                    min(self._peers, key=lambda other: (self._peers[other].commands, self._peers[other].at))
+                ]
+            self._peers[peer] = _Seen(self._clock(), commands or (seen is not None and seen.commands))
 
     def send(self, data: bytes) -> None:
-        """See `Link`."""
-        now = self._clock()
-        self._peers = {peer: seen for peer, seen in self._peers.items() if now - seen < _PEER_S}
-        for peer in {self._fixed, *self._peers} - {None}:
+        """See `Link`; may be called in any thread."""
+        with self._lock:
+            now = self._clock()
+            self._peers = {peer: seen for peer, seen in self._peers.items() if now - seen.at < _PEER_S}
+            peers = {self._fixed, *self._peers} - {None}
+        for peer in peers:
             with contextlib.suppress(OSError):  # nobody there, or no route: it may come back
                 self._socket.sendto(data, peer)
 
@@ -119,11 +140,15 @@ class UdpLink:
         """See `Link`."""
         self._socket.close()
 
-    def _too_many(self) -> bool:
-        second = int(self._clock())
-        self._count = self._count + 1 if second == self._second else 1
-        self._second = second
-        return self._count > _MOST_PER_S
+    def _allowed(self, peer: Peer) -> bool:
+        if not self._by_peer.take(peer):
+            return False
+        return peer in self._peers or peer == self._fixed or (self._by_address.take(peer[0]) and self._strangers.take())
+
+
+class _Seen(NamedTuple):
+    at: float
+    commands: bool
 
 
 class SerialLink:
@@ -161,7 +186,7 @@ class SerialLink:
             return None
         return (data, self._device) if data else None
 
-    def accept(self, peer: Peer) -> None:
+    def accept(self, peer: Peer, commands: bool = False) -> None:
         """See `Link`."""
 
     def send(self, data: bytes) -> None:

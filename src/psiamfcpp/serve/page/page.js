@@ -58,9 +58,10 @@ async function lose() {
   pause = Math.min(2 * pause, 2000);
 }
 
-function login(wrong = false) {
+function login(wrong = "") {
   banner("");
   byId("wrong").hidden = !wrong;
+  byId("wrong").textContent = wrong;
   byId("login").showModal();
 }
 
@@ -69,7 +70,7 @@ byId("login").querySelector("form").addEventListener("submit", async () => {
   const body = JSON.stringify({ token: byId("token").value });
   const answer = await fetch("/api/login", { method: "POST", headers: { "Content-Type": "application/json" }, body });
   if (answer.ok) connect();
-  else login(true);
+  else login(answer.status === 429 ? "Too many attempts: wait some seconds." : "That is not the token.");
 });
 
 function send(message) {

@@ -1,0 +1,68 @@
+"""Signals that end a command as Ctrl-C does."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import threading
+
+import pytest
+
+from psiamfcpp.signals import ended_like_ctrl_c
+
+pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="no such signals")
+
+
+def send(kind: int) -> None:
+    os.kill(os.getpid(), kind)
+    signal.getsignal(kind)  # handlers run between two instructions
+
+
+@pytest.mark.parametrize("kind", ["SIGTERM", "SIGHUP"])
+def test_a_signal_interrupts_once_and_is_restored(kind: str) -> None:
+    number = getattr(signal, kind)
+    cleaned = False
+    with pytest.raises(KeyboardInterrupt), ended_like_ctrl_c():
+        try:
+            send(number)
+            pytest.fail("it was not interrupted")
+        finally:
+            send(number)  # the same wish again: cleaning goes on
+            cleaned = True
+    assert cleaned
+    assert signal.getsignal(number) is signal.SIG_DFL
+
+
+def test_what_is_ignored_or_handled_stays_so() -> None:
+    seen: list[int] = []
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN), signal.signal(signal.SIGTERM, lambda n, _: seen.append(n))
+    try:
+        with ended_like_ctrl_c():
+            send(signal.SIGHUP)
+            send(signal.SIGTERM)
+        assert seen == [signal.SIGTERM]
+        assert signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
+    finally:
+        signal.signal(signal.SIGHUP, before[0])
+        signal.signal(signal.SIGTERM, before[1])
+
+
+def test_other_threads_and_forks_are_left_alone() -> None:
+    entered: list[object] = []
+
+    def within() -> None:
+        with ended_like_ctrl_c():
+            entered.append(signal.getsignal(signal.SIGTERM))
+
+    thread = threading.Thread(target=within)
+    thread.start()
+    thread.join()
+    assert entered == [signal.SIG_DFL]
+    with ended_like_ctrl_c():
+        child = os.fork()
+        if not child:
+            send(signal.SIGTERM)
+            os._exit(3)
+        _, status = os.waitpid(child, 0)
+    assert os.waitstatus_to_exitcode(status) == -signal.SIGTERM
