@@ -191,7 +191,7 @@ def test_calibrate_refuses(run: Run, tiny_model: Path, tmp_path: Path, blob_sequ
 @pytest.mark.parametrize(
     ("data", "message"),
     [
-        ("photos", "data 'photos' is not LAYOUT:FOLDER; layouts are folder, stills"),
+        ("photos", "data 'photos' is not LAYOUT:FOLDER; layouts are folder, clips, stills"),
         ("photo:here", "unknown dataset layout 'photo'"),
         ("folder:nowhere", "dataset folder nowhere does not exist"),
     ],

@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from psiamfcpp.crop import mean_colour
 from psiamfcpp.errors import UserError
-from psiamfcpp.geometry import Image, centre, check_box, context_side
+from psiamfcpp.geometry import Image, centre, check_box, check_frame, context_side
 from psiamfcpp.runtime.onnx_engine import open_session
 from psiamfcpp.trackers.contract import Track
 
@@ -117,7 +117,7 @@ class NanoTrack:
 
     def init(self, frame: Image, box: ArrayLike) -> Track:
         """Start to follow a target in a frame ``(H, W, 3)`` uint8, BGR; see the contract."""
-        _check_frame(frame)
+        check_frame(frame)
         x, y, w, h = check_box(box, frame.shape)
         self._cx, self._cy = (float(v) for v in centre((x, y, w, h)))
         self._w, self._h = w, h
@@ -130,7 +130,7 @@ class NanoTrack:
         """Find the target in the next frame ``(H, W, 3)`` uint8, BGR; see the contract."""
         if self._template is None:
             raise UserError("update() before init(): give the tracker a box on a first frame")
-        _check_frame(frame)
+        check_frame(frame)
         side = context_side(self._w, self._h)
         scale = _TEMPLATE / side
         features = self._features(frame, side * _SEARCH / _TEMPLATE, _SEARCH)
@@ -213,8 +213,3 @@ def _crop(frame: Image, cx: float, cy: float, side: int, size: int, fill: tuple[
     if x0 < x1 and y0 < y1:
         square[y0 - top : y1 - top, x0 - left : x1 - left] = frame[y0:y1, x0:x1]
     return np.asarray(cv2.resize(square, (size, size)), np.uint8) if side != size else square
-
-
-def _check_frame(frame: Image) -> None:
-    if getattr(frame, "dtype", None) != np.uint8 or frame.ndim != 3 or frame.shape[2] != 3 or not frame.size:
-        raise UserError("frame is no image (height, width, 3) of uint8: convert it")

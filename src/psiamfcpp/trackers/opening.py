@@ -6,8 +6,13 @@ A tracker is written ``NAME`` or ``KIND:NAME``, then ``,key=value`` for its opti
 ``psiamfcpp-alexnet-int8,plain=true``        our models, by name or file; keys are those of `TrackerOptions`
 ``opencv:mil``, ``opencv:nano,backbone=A,    a tracker that the installed OpenCV has; ``TrackerMIL`` and
 neckhead=B``                                 ``TrackerNano=A,B`` are the same
+``dcf:kcf``                                  a correlation filter
+``nanotrack:v3,backbone=A,head=B``           NanoTrack, from the user's files
 ``module:pkg.mod:Class,key=value``           a class with ``init(image, box)`` and ``update(image)``, built with
                                              the given keys; ``pkg.mod:Class`` is the same
+``adapter:transt,checkout=DIR,weights=FILE,  a published tracker in its own interpreter
+python=PY``
+``trax:COMMAND``                             any program that speaks TraX; the rest of the string is its command
 ===========================================  ==========================================================
 """
 
@@ -19,25 +24,40 @@ import sys
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import cv2
 
 from psiamfcpp.errors import UserError
 from psiamfcpp.trackers.contract import Tracker
-from psiamfcpp.trackers.identity import checksum, tracker_identity
+from psiamfcpp.trackers.identity import checksum
 from psiamfcpp.trackers.siamfcpp.options import TrackerOptions
 from psiamfcpp.trackers.siamfcpp.tracker import Tracker as OurTracker
 from psiamfcpp.trackers.siamfcpp.tracker import model_identity
 from psiamfcpp.zoo import model_files
 
-KINDS: dict[str, str] = {
-    "opencv": "psiamfcpp.trackers.opencv",
-    "module": "psiamfcpp.trackers.foreign",
+
+class Kind(NamedTuple):
+    """Where trackers of one kind are opened."""
+
+    module: str
+    """has ``open_tracker(name, options) -> Tracker``"""
+    threads: bool = False
+    """``open_tracker`` takes ``threads`` among the options"""
+
+
+KINDS: dict[str, Kind] = {
+    "opencv": Kind("psiamfcpp.trackers.opencv"),
+    "dcf": Kind("psiamfcpp.trackers.dcf"),
+    "nanotrack": Kind("psiamfcpp.trackers.nanotrack", threads=True),
+    "module": Kind("psiamfcpp.trackers.foreign"),
+    "adapter": Kind("psiamfcpp.trackers.trax.adapter", threads=True),
+    "trax": Kind("psiamfcpp.trackers.trax.client", threads=True),
 }
-"""modules with ``open_tracker(name, options) -> Tracker``, by kind"""
 
 _MODEL = "model"
+# Options that decide no box.
+_UNSEEN = ("threads", "python", "timeout")
 _DEFAULT = TrackerOptions()
 
 
@@ -65,21 +85,30 @@ class TrackerChoice:
         """What tables and folders of results call it."""
         if self.alias:
             return self.alias
-        if self.kind == _MODEL:
-            path = Path(self.entry)
-            named = path.stem if path.is_file() else path.name
-        else:
-            named = self.entry.rpartition(":")[2] if self.kind == "module" else f"{self.kind}-{Path(self.entry).name}"
-        shown = [f",{key}={value}" for key, value in self.given if key != "threads" and not Path(value).exists()]
+        path = Path(self.entry)
+        named = {
+            _MODEL: path.stem if path.is_file() else path.name,
+            "module": self.entry.rpartition(":")[2],
+            "trax": f"trax-{_program(self.entry)}",
+        }.get(self.kind, f"{self.kind}-{self.entry}")
+        shown = [f",{key}={value}" for key, value in self.given if key not in _UNSEEN and not Path(value).exists()]
         return named + "".join(shown).replace(":", "-").replace("/", "-")
 
     def identity(self) -> dict[str, Any]:
-        """Return what decides the boxes; threads do not, nor does the folder that a model lies in."""
+        """Return what decides the boxes; threads do not, nor does the folder that a model lies in.
+
+        Raises:
+            UserError: see `open`; trackers other than models are opened to ask them.
+        """
         if self.kind == _MODEL:
             path = Path(self.entry)
             return model_identity(path.stem if path.is_file() else path.name, self.checksum, self.options)
-        entry = self.alias or (self.entry if self.kind == "module" else f"{self.kind}:{self.entry}")
-        return tracker_identity(entry, dict(self.given))
+        tracker = self.open()
+        try:
+            found = dict(tracker.identity)
+        finally:
+            tracker.close()
+        return {**found, "entry": self.alias} if self.alias else found
 
     def open(self) -> Tracker:
         """Open the tracker, ready for `init`.
@@ -94,7 +123,10 @@ class TrackerChoice:
         # where the command was started, as `python -m` has it
         if self.kind == "module" and self.folder not in sys.path:
             sys.path.insert(0, self.folder)
-        opened: Tracker = importlib.import_module(KINDS[self.kind]).open_tracker(self.entry, dict(self.given))
+        kind, given = KINDS[self.kind], dict(self.given)
+        if kind.threads and self.options.threads is not None:
+            given.setdefault("threads", str(self.options.threads))
+        opened: Tracker = importlib.import_module(kind.module).open_tracker(self.entry, given)
         return opened
 
 
@@ -122,7 +154,7 @@ def choose(text: str, options: TrackerOptions = _DEFAULT) -> TrackerChoice:
     if text.startswith("Tracker") and ":" not in text:
         return _opencv_alias(text, options)
     kind, colon, rest = text.partition(":")
-    if colon and kind == "trax" and kind in KINDS:
+    if colon and kind == "trax":
         return TrackerChoice(kind, rest, options=options)
     head, *pairs = text.split(",")
     given = dict(_pair(text, pair) for pair in pairs)
@@ -132,6 +164,12 @@ def choose(text: str, options: TrackerOptions = _DEFAULT) -> TrackerChoice:
     if kind not in KINDS:
         kind, name = "module", head
     return TrackerChoice(kind, name, _whole_paths(given), options, folder=str(Path.cwd()))
+
+
+def _program(command: str) -> str:
+    """Return what a worker's results are called: the stem of the last word that names a file, or of the first."""
+    words = command.split()
+    return Path(next((word for word in reversed(words) if Path(word).is_file()), (words or [""])[0])).stem
 
 
 def _model(name: str, given: Mapping[str, str], options: TrackerOptions) -> TrackerChoice:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 from psiamfcpp.errors import UserError
@@ -42,3 +43,14 @@ def open_dcf(name: str) -> DcfTracker:
     module, kind = FILTERS[name]
     found = importlib.import_module(f"{__name__}.{module}")
     return DcfTracker(name, getattr(found, kind), getattr(found, f"{kind}Constants")())
+
+
+def open_tracker(name: str, options: Mapping[str, str]) -> DcfTracker:
+    """Open ``dcf:NAME``; correlation filters take no options.
+
+    Raises:
+        UserError: see `open_dcf`, or there is an option.
+    """
+    if options:
+        raise UserError(f"tracker dcf:{name} has no option {next(iter(options))!r}: give dcf:{name}")
+    return open_dcf(name)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from psiamfcpp.errors import UserError
-from psiamfcpp.geometry import Box, Image, check_box
+from psiamfcpp.geometry import Box, Image, check_box, check_frame
 from psiamfcpp.trackers.contract import Track
 
 
@@ -39,8 +39,8 @@ class DcfTracker:
 
     @property
     def name(self) -> str:
-        """Short name, such as ``kcf``."""
-        return self._name
+        """Short name, such as ``dcf-kcf``."""
+        return f"dcf-{self._name}"
 
     @property
     def identity(self) -> Mapping[str, Any]:
@@ -57,7 +57,7 @@ class DcfTracker:
         Raises:
             UserError: the frame is no such image, or the box cannot be tracked in it.
         """
-        _check_frame(frame)
+        check_frame(frame)
         start = check_box(box, frame.shape)
         self._filter = None  # an init that fails must not leave the target before
         self._filter = self._kind(frame, start, self._constants)
@@ -71,7 +71,7 @@ class DcfTracker:
         """
         if self._filter is None:
             raise UserError("update() before init(): give the tracker a box on a first frame")
-        _check_frame(frame)
+        check_frame(frame)
         box, response = self._filter.update(frame)
         return Track(box, peak_to_sidelobe(response))
 
@@ -95,10 +95,3 @@ def peak_to_sidelobe(response: NDArray[Any]) -> float:
     rest = response[sidelobe].astype(np.float64)
     spread = float(rest.std()) if rest.size else 0.0
     return float((response[peak] - rest.mean()) / spread) if spread > 0 else 0.0
-
-
-def _check_frame(frame: Image) -> None:
-    is_array = isinstance(frame, np.ndarray) and frame.dtype == np.uint8 and frame.size > 0
-    if not is_array or frame.ndim != 3 or frame.shape[2] != 3:
-        shape = f"{frame.dtype} {frame.shape}" if isinstance(frame, np.ndarray) else type(frame).__name__
-        raise UserError(f"frame is {shape}: an array (height, width, 3) of uint8, BGR, is needed")
