@@ -4,6 +4,6 @@ from psiamfcpp.errors import UserError
 from psiamfcpp.recipes.follow import follow
 from psiamfcpp.trackers import TargetPool, Track, TrackerOptions, open_tracker
 from psiamfcpp.trackers.siamfcpp import Tracker
+from psiamfcpp.version import __version__
 
-__version__ = "0.1.0"
-__all__ = ["TargetPool", "Track", "Tracker", "TrackerOptions", "UserError", "follow", "open_tracker"]
+__all__ = ["TargetPool", "Track", "Tracker", "TrackerOptions", "UserError", "__version__", "follow", "open_tracker"]

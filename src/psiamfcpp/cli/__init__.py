@@ -15,9 +15,9 @@ from typing import Any, get_origin, get_type_hints
 
 import tyro
 
-from psiamfcpp import __version__
 from psiamfcpp.errors import UserError
 from psiamfcpp.signals import ended_like_ctrl_c
+from psiamfcpp.version import __version__
 
 COMMANDS = {
     "demo": "render an aerial clip, follow its target, and say how well",

@@ -18,7 +18,6 @@ from typing import Any
 
 import numpy as np
 
-from psiamfcpp import __version__
 from psiamfcpp.datasets import Sequence
 from psiamfcpp.datasets.boxes import find_files, read_boxes, write_boxes
 from psiamfcpp.errors import UserError
@@ -27,6 +26,7 @@ from psiamfcpp.evaluation.results import Files, read_times
 from psiamfcpp.files import write_whole
 from psiamfcpp.machine import processor_name
 from psiamfcpp.trackers import Tracker, TrackerChoice
+from psiamfcpp.version import __version__
 from psiamfcpp.watch import QUIET, Watch
 
 RUN_FILE = "run.json"

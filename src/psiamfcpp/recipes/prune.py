@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from psiamfcpp import __version__
 from psiamfcpp.datasets.choice import DataChoice
 from psiamfcpp.errors import UserError
 from psiamfcpp.models import SiamFCpp, load, save
@@ -18,6 +17,7 @@ from psiamfcpp.pruning.planning import Plan
 from psiamfcpp.pruning.refitting import refit
 from psiamfcpp.pruning.table import check_groups
 from psiamfcpp.recipes.fit_crops import batches, plain_pairs
+from psiamfcpp.version import __version__
 from psiamfcpp.watch import QUIET, Watch
 
 _BATCH = 8

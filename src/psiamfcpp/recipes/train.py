@@ -8,9 +8,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from psiamfcpp import __version__
 from psiamfcpp.datasets.choice import DataChoice
 from psiamfcpp.training.options import RunOptions, TrainOptions
+from psiamfcpp.version import __version__
 from psiamfcpp.watch import QUIET, Watch
 
 if TYPE_CHECKING:

@@ -8,12 +8,12 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
-from psiamfcpp import __version__
 from psiamfcpp.evaluation.measured import CONVENTIONS
 from psiamfcpp.evaluation.metrics import Convention
 from psiamfcpp.report.compare import PAPER, Comparison, average
 from psiamfcpp.report.published import Published, averaged, pruned_layers
 from psiamfcpp.report.tables import FIGURES, by_attribute, rows, speed_columns
+from psiamfcpp.version import __version__
 
 _STYLE = Path(__file__).with_name("report.css")
 _CONVENTIONS = {

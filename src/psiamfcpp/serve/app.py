@@ -14,13 +14,13 @@ from fastapi.exceptions import RequestValidationError
 from fastapi.responses import JSONResponse, StreamingResponse
 from starlette.exceptions import HTTPException as StarletteHTTPException
 
-from psiamfcpp import __version__
 from psiamfcpp.errors import UserError
 from psiamfcpp.serve import guard, messages
 from psiamfcpp.serve.control import Control, NotOperatorError, TooManyError
 from psiamfcpp.serve.follower import BusyError
 from psiamfcpp.serve.live import MAX_CLIENTS, Client, Room, start
 from psiamfcpp.serve.pictures import Pictures, annotated, plain
+from psiamfcpp.version import __version__
 
 _BOUNDARY = "frame"
 _PAGE = {"": "text/html", "page.js": "text/javascript", "page.css": "text/css"}

@@ -10,10 +10,10 @@ from typing import Any
 
 from pymavlink.dialects.v20 import common as mav
 
-from psiamfcpp import __version__
 from psiamfcpp.serve.control import Control
 from psiamfcpp.serve.follower import Shot, bearing
 from psiamfcpp.trackers import Track
+from psiamfcpp.version import __version__
 
 _NAN = math.nan
 # of CAMERA_TRACKING_TARGET_DATA; pymavlink lacks its name

@@ -6,11 +6,11 @@ from typing import Any, BinaryIO, Protocol
 
 from numpy.typing import ArrayLike
 
-from psiamfcpp import __version__
 from psiamfcpp.errors import UserError
 from psiamfcpp.geometry import Box, Image
 from psiamfcpp.trackers.adapters.trax_worker import Properties, ProtocolError, Session, claim_streams
 from psiamfcpp.trackers.trax.images import decode_image
+from psiamfcpp.version import __version__
 
 _IMAGES = ("path", "url", "memory", "data")
 
