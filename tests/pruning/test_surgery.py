@@ -207,7 +207,7 @@ class Fixed(nn.Module):
 @pytest.mark.parametrize("network", [Shuffle, Counting, Fixed])
 def test_cuts_that_change_what_the_kept_filters_do_are_refused(network: type[nn.Module]) -> None:
     torch.manual_seed(0)
-    with pytest.raises(UserError, match="without the removed filters of a .*keep these groups whole"):
+    with pytest.raises(UserError, match=r"without the removed filters of a .*keep these groups whole"):
         prune(network().eval(), torch.rand(1, 3, 16, 16), Plan({"a": [0, 2, 4, 6]}))
     assert prune(network(), torch.rand(1, 3, 16, 16), Plan({"a": list(range(8))})).a.out_channels == 8
 
@@ -250,7 +250,7 @@ def masked_bias(layer: nn.Module) -> None:
 def test_masked_and_parametrized_weights_must_be_made_permanent_first(change: Any) -> None:
     network, x = nn.Sequential(nn.Conv2d(3, 8, 3), nn.ReLU(), nn.Conv2d(8, 2, 1)).eval(), torch.rand(1, 3, 9, 9)
     change(network[0])
-    with pytest.raises(UserError, match="of 0 is computed from other tensors.*make it permanent first"):
+    with pytest.raises(UserError, match=r"of 0 is computed from other tensors.*make it permanent first"):
         prune(network, x, Plan({"0": [0, 2]}))
     if change is masked:
         torch.nn.utils.prune.remove(network[0], "weight")
