@@ -83,6 +83,15 @@ def test_what_is_near_enough() -> None:
     Difference(0.2, 3.0, 0.95).check(int8=True)
 
 
+def test_clips_held_out_of_training_are_not_calibrated_on(
+    run: Run, tiny_model: Path, tmp_path: Path, blob_sequence
+) -> None:
+    data = blob_sequence("alpha", [(100, 80, 40, 30), (110, 80, 40, 30)])
+    args = ("export", tiny_model, "-o", tmp_path / "graphs", "--pairs", "4", "--data", f"folder:{data}")
+    assert "no usable box" in run(*args, "--held-out-every", 1).refused()
+    assert run(*args, "--held-out-every", 0).code == 0
+
+
 @pytest.mark.parametrize(
     ("options", "message"),
     [

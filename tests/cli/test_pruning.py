@@ -180,22 +180,112 @@ def test_a_budget_of_multiply_accumulates_is_met_closely(run: Run, full_table: P
 
 
 def test_a_budget_of_time_halves_its_way(run: Run, full_table: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from psiamfcpp.cli import plan
     from psiamfcpp.models.cost import search_macs
+    from psiamfcpp.recipes import plan
 
     # A machine that takes 10 ms a GMAC.
-    monkeypatch.setattr(plan, "_milliseconds", lambda widths, size: search_macs(widths, size) / 1e8)
-    facts = json.loads(run("plan", full_table, "--target-latency", 50, "--json").out)
+    monkeypatch.setattr(plan, "milliseconds", lambda spec, timing: search_macs(spec) / 1e8)
+    ended = run("plan", full_table, "--target-latency", 50, "--threads", 3, "--json")
+    facts = json.loads(ended.out)
     assert 4.7 < facts["after"]["gmacs"] <= 5
-    assert "can be met" not in run("plan", full_table, "--target-latency", 1000).err
+    assert facts["times"] == {
+        "before": pytest.approx(85.6, abs=0.1),
+        "after": pytest.approx(facts["after"]["gmacs"] * 10),
+        "engine": "onnx",
+        "precision": "int8",
+        "threads": 3,
+    }
+    assert "timing int8 graphs in onnx on 3 threads" in ended.err.splitlines()[0]
+    assert (
+        "ms a search crop, int8 graphs in onnx on 3 threads"
+        in run("plan", full_table, "--target-latency", 1000, "--threads", 3).out.splitlines()[-1]
+    )
     ended = run("plan", full_table, "--target-latency", 0.01)
     assert ended.code == 2 and "no plan takes 0.01 ms" in ended.err.splitlines()[-1]
 
 
-def test_time_is_measured_with_a_network_of_those_widths() -> None:
-    from psiamfcpp.cli.plan import _milliseconds
+@pytest.mark.parametrize(
+    ("timing", "engine", "precision"),
+    [
+        ({}, "OnnxEngine", "int8"),
+        ({"precision": "fp32"}, "OnnxEngine", "fp32"),
+        ({"engine": "openvino", "threads": 1}, "OpenVinoEngine", "int8"),
+    ],
+)
+def test_a_plan_times_the_graphs_that_would_be_shipped(
+    monkeypatch: pytest.MonkeyPatch, timing: dict[str, Any], engine: str, precision: str
+) -> None:
+    from psiamfcpp.recipes import plan
+    from psiamfcpp.runtime import graph_file, open_engine
+    from psiamfcpp.spec import ModelSpec
 
-    assert _milliseconds(dict.fromkeys(FULL_WIDTHS, 4), 191) > 0
+    if timing.get("engine") == "openvino":
+        pytest.importorskip("openvino")
+    opened: list[tuple[str, str]] = []
+
+    def remember(model: str, *options: Any) -> Any:
+        found = open_engine(model, *options)
+        assert options[1] == timing.get("threads")
+        opened.append((type(found).__name__, graph_file.precision(Path(model))))
+        assert found.spec.widths == spec.widths and found.spec.search_size == 191
+        return found
+
+    monkeypatch.setattr(plan, "open_engine", remember)
+    spec = ModelSpec(widths=dict.fromkeys(FULL_WIDTHS, 4), search_size=191)
+    assert 0 < plan.milliseconds(spec, plan.Timing(**timing)) < 60_000
+    assert opened == [(engine, precision)]
+
+
+def test_plans_by_every_criterion(
+    run: Run, tiny_model: Path, clips: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    ranks = tmp_path / "ranks.json"
+    data = ("--data", f"folder:{clips}", "--held-out-every", 0)
+    assert run("rank", tiny_model, *data, "-o", ranks, "--images", 4).code == 0
+    (tmp_path / "mine.py").write_text("def last(group, context):\n    return list(range(group.width))\n")
+    given = {"rank": ("--ranks", ranks), "norm": (), "median": (), "random": (), "mine:last": (), "taylor": data}
+    plans: dict[str, dict[str, list[int]]] = {}
+    for criterion, options in given.items():
+        output = tmp_path / f"{criterion}.json"
+        ended = run("plan", tiny_model, "--criterion", criterion, *options, "--remove", 0.5, "--flat", "-o", output)
+        assert ended.code == 0, ended.err
+        assert f"highest {criterion} removed" in ended.out
+        plans[criterion] = json.loads(output.read_text())["keep"]
+    assert plans["mine:last"] == {name: [4, 5, 6, 7] for name in FULL_WIDTHS}
+    assert len({json.dumps(keep) for keep in plans.values()}) == len(plans)
+    # With the model or without it, the table's ranks give the same plan.
+    bare = tmp_path / "bare.json"
+    assert run("plan", ranks, "--remove", 0.5, "--flat", "-o", bare).code == 0
+    assert json.loads(bare.read_text())["keep"] == plans["rank"]
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--criterion", "size"], "unknown criterion 'size': known are rank, norm"),
+        (["--criterion", "rank"], "needs the rank table"),
+        (["--criterion", "taylor"], "needs gradients"),
+        (["--criterion", "absent:f"], "'absent:f' cannot be imported"),
+    ],
+)
+def test_criteria_that_lack_something_are_refused(run: Run, tiny_model: Path, options: list[str], message: str) -> None:
+    assert message in run("plan", tiny_model, *options, "--remove", "0.5").refused()
+
+
+def test_a_rank_table_alone_serves_no_other_criterion(run: Run, tiny_model: Path, full_table: Path) -> None:
+    assert "give the model" in run("plan", full_table, "--criterion", "norm", "--remove", "0.5").refused()
+    args = ("plan", tiny_model, "--ranks", full_table, "--remove", "0.5")
+    assert "is not of this model, whose widths differ" in run(*args).refused()
+
+
+def test_clips_held_out_of_training_are_not_ranked(run: Run, tiny_model: Path, clips: Path, tmp_path: Path) -> None:
+    args = ("rank", tiny_model, "--data", f"folder:{clips}", "-o", tmp_path / "ranks.json", "--images", 2)
+    assert "no usable box" in run(*args, "--held-out-every", 1).refused()
+    assert run(*args).code == 0
+    assert json.loads((tmp_path / "ranks.json").read_text())["held_out_every"] == 8
+    # Another draw, so its ranks are not those to go on from.
+    assert "remove it" in run(*args, "--held-out-every", 0).refused()
 
 
 @pytest.mark.parametrize(

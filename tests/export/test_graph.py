@@ -200,3 +200,22 @@ def test_samples_are_the_same_each_time_and_come_from_every_source(blob_sequence
     assert [p.template.shape for p in first] == [(127, 127, 3)] * 4
     # the target is in the middle of every template and somewhere in every search crop
     assert all(p.template[63, 63].min() > 200 and p.search.max() > 200 for p in first)
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("weights", [0.0, 1e-9, 1e-30, -1e-9])
+@pytest.mark.parametrize("value", [5.0, -700.0, 1e-20])
+def test_dead_and_decayed_filters_keep_their_bias_in_eight_bits(
+    network: SiamFCpp, ranges: Ranges, weights: float, value: float
+) -> None:
+    found = layers(network)
+    name, filter_ = "head.reg2", 1
+    changed = dataclasses.replace(found[name], weight=found[name].weight.copy(), bias=found[name].bias.copy())
+    changed.weight[filter_], changed.bias[filter_] = weights, value
+    alone = dataclasses.replace(without(ranges, set(ranges.inputs) - {name}), factors={})
+    graph = search_graph(network.spec, {**found, name: changed}, alone).graph
+    stored = {t.name: onnx.numpy_helper.to_array(t) for t in graph.initializer}
+    bias = stored[f"{name}.bias"] * stored[f"{name}.bias_scale"].astype(np.float64)
+    # All biases, of ordinary filters as well, are within half of their step.
+    assert (np.abs(bias - changed.bias) <= 0.51 * stored[f"{name}.bias_scale"] + 1e-7 * np.abs(changed.bias)).all()
+    assert bias[filter_] == pytest.approx(value, rel=1e-6, abs=1e-12)

@@ -87,7 +87,9 @@ class Builder:
             zero = round(-low / float(step))
             x = self.from_uint8(self.to_uint8(x, step, zero), step, zero)
         folded = layer.weight * layer.gain[:, None, None, None]
-        steps = np.maximum(np.abs(folded).max(axis=(1, 2, 3)) / 127, 1e-12).astype(np.float32)
+        steps = np.maximum(np.abs(folded).max(axis=(1, 2, 3)) / 127, 1e-12)
+        # The bias is in 32 bits of the weights' step times the input's: a dead filter's tiny step would cut it off.
+        steps = np.maximum(steps, np.abs(layer.bias) / 2**30 / self.steps[x]).astype(np.float32)
         rounded = np.rint(folded / steps[:, None, None, None]).astype(np.int8)
         weight = self.add(
             "DequantizeLinear",
@@ -98,9 +100,11 @@ class Builder:
         )
         bias_steps = (steps * self.steps[x]).astype(np.float32)
         limit = 2**31 - 1
+        # In float64, since float32 rounds the limit up to 2**31, which turns the sign.
+        whole = np.rint(layer.bias / bias_steps).astype(np.float64).clip(-limit, limit).astype(np.int32)
         bias = self.add(
             "DequantizeLinear",
-            self.constant(np.rint(layer.bias / bias_steps).clip(-limit, limit).astype(np.int32), f"{name}.bias"),
+            self.constant(whole, f"{name}.bias"),
             self.constant(bias_steps, f"{name}.bias_scale"),
             self.constant(np.zeros(len(steps), np.int32), f"{name}.bias_zero"),
             axis=0,
