@@ -113,7 +113,8 @@ def _resize(patch: Pixels, size: Size, linear: bool) -> Pixels:
         return cv2.resize(patch, size[::-1], interpolation=rule)
     out = np.empty((*size, *patch.shape[2:]), np.uint8)
     planes = (np.ascontiguousarray(patch), out) if patch.ndim == 3 else (patch[..., None].copy(), out[..., None])
-    resizing.resize(planes[0], 0, 0, *patch.shape[:2], linear, planes[1])
+    height, width = patch.shape[:2]
+    resizing.resize(planes[0], 0, 0, height, width, linear, planes[1])
     return out
 
 

@@ -20,9 +20,9 @@ _BITS = 11
 @_compiled
 def _area_taps(old, new):  # type: ignore[no-untyped-def]
     """First source index, count and weights of each target index, for a ratio of at least 1."""
-    ratio = old / new
+    ratio = 1 / (new / old)
     firsts, counts = np.empty(new, np.int64), np.empty(new, np.int64)
-    weights = np.zeros((new, int(np.ceil(ratio)) + 2), np.float32)
+    weights = np.zeros((new, int(np.ceil(ratio)) + 2))
     for i in range(new):
         low, high = i * ratio, (i + 1) * ratio
         first, last = min(int(np.ceil(low)), old - 1), min(int(np.floor(high)), old - 1)
@@ -45,10 +45,10 @@ def _area_taps(old, new):  # type: ignore[no-untyped-def]
 def _area(image, top, left, height, width, out):  # type: ignore[no-untyped-def]
     """Mean over the area of each target pixel, neither axis enlarged."""
     rows, columns, channels = out.shape
-    ratio_y = np.float32(height / rows)
-    scale = 1 / ((width / columns) * (height / rows))
-    firsts, counts, weights = _area_taps(width, columns)
-    weights = (weights * scale).astype(np.float32)
+    ratio_x, ratio_y = 1 / (columns / width), 1 / (rows / height)
+    scale, step = 1 / (ratio_x * ratio_y), np.float32(ratio_y)
+    firsts, counts, shares = _area_taps(width, columns)
+    weights = (shares * scale).astype(np.float32)
     line = np.zeros((columns, channels), np.float32)
     total = np.zeros((columns, channels), np.float32)
     row = 0
@@ -69,7 +69,7 @@ def _area(image, top, left, height, width, out):  # type: ignore[no-untyped-def]
                     for k in range(counts[x]):
                         a += np.float32(image[top + y, start + k, channel]) * weights[x, k]
                     line[x, channel] = a
-        edge = np.float32(row + 1) * ratio_y
+        edge = np.float32(row + 1) * step
         if row < rows and (edge <= np.float32(y + 1) or y == height - 1):
             # what of this line belongs to the next row of the target
             beyond = max(np.float32(y + 1) - edge, np.float32(0))
@@ -106,7 +106,8 @@ def _blocks(image, top, left, height, width, out):  # type: ignore[no-untyped-de
 @_compiled
 def _linear_taps(old, new, area):  # type: ignore[no-untyped-def]
     """Source index, may be -1, and the two integer weights of each target index."""
-    ratio, inverse = old / new, new / old
+    inverse = new / old
+    ratio = 1 / inverse
     index, weights = np.empty(new, np.int64), np.empty((new, 2), np.int64)
     for i in range(new):
         if area:
