@@ -128,7 +128,7 @@ class EcoHc:
         """Normalised feature maps, neither compressed nor windowed."""
         c = self._constants
         patch = sample_patch(frame, position, scale, self._side)
-        hog = fhog(patch[..., 2] if self._grey else patch, c.hog_cell_size)
+        hog = fhog(patch[..., 2] if self._grey else patch, c.hog_cell_size, sse=True)
         colour = grey_cells(patch, c.cn_cell_size)[None] if self._grey else colour_names(patch, c.cn_cell_size)
         return [normalise_energy(colour), normalise_energy(hog)]
 
@@ -177,8 +177,9 @@ class EcoHc:
             matrices = []
             for x, f, r in zip(flat, before, residuals, strict=True):
                 turned = f.conj() * r
-                turned[..., 1:] *= 2
-                matrices.append((x.conj() @ turned.reshape(len(f), -1).T).real)
+                # The authors' code leaves frequency 0 of the columns out of this sum.
+                turned[..., 0] = 0
+                matrices.append(2 * (x.conj() @ turned.reshape(len(f), -1).T).real)
             return filters + matrices
 
         def operator(v: Bundle) -> Bundle:

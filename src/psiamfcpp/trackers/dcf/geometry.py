@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from psiamfcpp.geometry import Box, FloatArray
+from psiamfcpp.trackers.dcf import resizing
 
 Pixels = NDArray[Any]
 """``(rows, columns)`` or ``(rows, columns, 3)``, BGR, uint8 or float"""
@@ -92,23 +93,29 @@ def resize_auto(patch: Pixels, size: Size) -> Pixels:
     """Resize as the authors' `mexResize(..., 'auto')`: bilinear if the new *width* exceeds the old *height*, else area.
 
     Args:
-        patch: ``(h, w)`` or ``(h, w, C)``.
+        patch: ``(h, w)`` or ``(h, w, C)``, uint8 or float.
         size: new rows and columns.
     """
-    rows, columns = size
-    if patch.shape[:2] == (rows, columns):
-        return patch
     # Width against height is a slip of the original; published boxes depend on it.
-    rule = cv2.INTER_LINEAR if columns > patch.shape[0] else cv2.INTER_AREA
-    return cv2.resize(patch, (columns, rows), interpolation=rule)
+    return _resize(patch, size, size[1] > patch.shape[0])
 
 
 def resize_bilinear(patch: Pixels, size: Size) -> Pixels:
     """Resize bilinearly without antialiasing (ECO's rule); see `resize_auto`."""
-    rows, columns = size
-    if patch.shape[:2] == (rows, columns):
+    return _resize(patch, size, True)
+
+
+def _resize(patch: Pixels, size: Size, linear: bool) -> Pixels:
+    if patch.shape[:2] == size:
         return patch
-    return cv2.resize(patch, (columns, rows), interpolation=cv2.INTER_LINEAR)
+    if patch.dtype != np.uint8:
+        rule = cv2.INTER_LINEAR if linear else cv2.INTER_AREA
+        return cv2.resize(patch, size[::-1], interpolation=rule)
+    out = np.empty((*size, *patch.shape[2:]), np.uint8)
+    planes = (np.ascontiguousarray(patch), out) if patch.ndim == 3 else (patch[..., None].copy(), out[..., None])
+    height, width = patch.shape[:2]
+    resizing.resize(planes[0], 0, 0, height, width, linear, planes[1])
+    return out
 
 
 def scale_limits(step: float, window: ArrayLike, base: ArrayLike, frame_size: ArrayLike) -> tuple[float, float]:

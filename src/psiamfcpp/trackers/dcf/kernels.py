@@ -15,11 +15,11 @@ MARGIN = 10
 # Where neither __pycache__ nor the user's cache folder can be written, numba refuses to cache: compile every time.
 try:
     numba.njit(cache=True)(lambda: None)
-    _CACHE = True
+    CACHE = True
 except RuntimeError:
-    _CACHE = False
+    CACHE = False
 
-_compiled = numba.njit(cache=_CACHE, error_model="numpy", fastmath={"contract", "nsz", "nnan", "ninf", "arcp"})
+_compiled = numba.njit(cache=CACHE, error_model="numpy", fastmath={"contract", "nsz", "nnan", "ninf", "arcp"})
 
 
 def _orientation_bins() -> np.ndarray:

@@ -129,11 +129,11 @@ class McctH:
         spectrum = rfft2(self._features(patch) * self._hann)
         cells = np.float32(np.prod(n.cells))
         energy = np.square(spectrum.real) + np.square(spectrum.imag)
-        self._scales.train(self._scales.sample(frame, self._position, self._base * self._scale))
+        self._scales.train(self._scales.sample(frame, self._position, self._base, self._scale))
         return (self._label * spectrum).conj() / cells, np.stack([energy[b].sum(axis=0) for b in BLOCKS]) / cells
 
     def _follow_scale(self, frame: Image) -> None:
-        sample = self._scales.sample(frame, self._position, self._base * self._scale)
+        sample = self._scales.sample(frame, self._position, self._base, self._scale)
         factor = float(self._scales.factors[self._scales.detect(sample)])
         self._scale = clamp_scale(self._scale * factor, self._limits)
         self._areas = self._areas_of(round_half_away(self._base * self._scale))

@@ -6,19 +6,25 @@ matrix ``(scales, values)``: the fHOG of a patch at each scale, flattened.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 import scipy.fft
 from numpy.typing import ArrayLike
 
 from psiamfcpp.geometry import FloatArray, Image
+from psiamfcpp.trackers.dcf import resizing
 from psiamfcpp.trackers.dcf.features import Float, fhog_many
 from psiamfcpp.trackers.dcf.fourier import Spectrum, hann, offsets
-from psiamfcpp.trackers.dcf.geometry import Size, cut
+from psiamfcpp.trackers.dcf.geometry import Size, cut, whole
 
 CELL = 4
+
+
+def powers(step: float, exponents: ArrayLike) -> FloatArray:
+    """Powers of a scale step, each correctly rounded: where a size is whole, the last bit decides its floor."""
+    return np.array([math.pow(step, e) for e in np.asarray(exponents)])
 
 
 def model_size(size: ArrayLike, area: float, smallest: int = CELL) -> Size:
@@ -43,14 +49,10 @@ def patch_features(image: Image, position: ArrayLike, sizes: FloatArray, model: 
     # All patches are views of the largest: outside the frame they replicate the same border.
     centre, half = np.floor(np.asarray(position, np.float64)), np.floor(sizes / 2)
     reach = np.stack([half, sizes - half]).max(axis=1)
-    around = cut(image, centre - reach[0], (int(reach.sum(axis=0)[0]), int(reach.sum(axis=0)[1])))
-    firsts, whole = (reach[0] - half).astype(int).tolist(), sizes.astype(int).tolist()
-    rows, columns = model
-    patches = np.empty((len(sizes), rows, columns, 3), np.uint8)
-    for (y, x), (h, w), patch in zip(firsts, whole, patches, strict=True):
-        # the rule of `geometry.resize_auto`, into the place
-        rule = cv2.INTER_LINEAR if columns > h else cv2.INTER_AREA
-        cv2.resize(around[y : y + h, x : x + w], (columns, rows), dst=patch, interpolation=rule)
+    around = cut(image, centre - reach[0], whole(reach.sum(axis=0)))
+    patches = np.empty((len(sizes), *model, 3), np.uint8)
+    firsts = (reach[0] - half).astype(np.int64)
+    resizing.resize_many(np.ascontiguousarray(around), firsts, sizes.astype(np.int64), patches)
     return fhog_many(patches, CELL, sse=True).reshape(len(sizes), -1)
 
 
@@ -80,7 +82,7 @@ class ScaleFilter:
         self.model = model_size(size, c.scale_model_max_area)
         middle = (c.num_scales + 1) // 2
         steps = np.arange(1, c.num_scales + 1) - middle
-        self.factors = c.scale_step ** -steps.astype(np.float64)
+        self.factors = powers(c.scale_step, -steps)
         """size of each patch over the target's, the large ones first"""
         self.window = hann(c.num_scales).astype(np.float32)[:, None]
         self.middle = middle - 1
@@ -89,7 +91,9 @@ class ScaleFilter:
         self._numerator: Spectrum | None = None
         self._denominator: FloatArray | None = None
 
-    def columns(self, image: Image, position: ArrayLike, size: ArrayLike, which: slice = slice(None)) -> Float:
+    def columns(
+        self, image: Image, position: ArrayLike, size: ArrayLike, which: slice = slice(None), scale: float = 1.0
+    ) -> Float:
         """Features ``(n, values)`` of some of the scales, not windowed.
 
         Args:
@@ -97,13 +101,15 @@ class ScaleFilter:
             position: row and column, 1-based.
             size: rows and columns of the target at scale factor 1, not rounded.
             which: of the factors.
+            scale: scale factor of the target.
         """
-        sizes = np.maximum(np.floor(np.asarray(size, np.float64) * self.factors[which, None]), 2)
-        return patch_features(image, position, sizes, self.model)
+        # The order of the products decides where floor falls: a size may be whole.
+        sizes = np.floor(np.asarray(size, np.float64) * (scale * self.factors[which, None]))
+        return patch_features(image, position, np.maximum(sizes, 2), self.model)
 
-    def sample(self, image: Image, position: ArrayLike, size: ArrayLike) -> Float:
+    def sample(self, image: Image, position: ArrayLike, size: ArrayLike, scale: float = 1.0) -> Float:
         """The windowed sample ``(scales, values)``; see `columns`."""
-        return self.columns(image, position, size) * self.window
+        return self.columns(image, position, size, scale=scale) * self.window
 
     def train(self, sample: Float) -> None:
         """Blend a windowed sample into the filter."""
@@ -161,8 +167,8 @@ class FastScaleFilter:
         self.model = model_size(shape, c.scale_model_max_area, c.smallest_side)
         n, fine = c.number_of_scales, c.number_of_interp_scales
         ring = offsets(n) * fine / n
-        self.factors = c.scale_step ** np.sort(ring)
-        self._fine_factors = c.scale_step ** offsets(fine)
+        self.factors = powers(c.scale_step, np.sort(ring))
+        self._fine_factors = powers(c.scale_step, offsets(fine))
         label = np.exp(-0.5 * ring**2 / (fine * c.scale_sigma_factor) ** 2).astype(np.float32)
         self._label = scipy.fft.rfft(label)
         self._window = hann(n).astype(np.float32)
@@ -188,7 +194,7 @@ class FastScaleFilter:
         # The compressed template is the triangle itself: Q'S = R. Signs of its rows cancel in every product.
         self._basis, triangle = np.linalg.qr(self._model.T)
         self._numerator = self._label * self._spectrum(triangle).conj()
-        energy = np.square(np.abs(self._spectrum(np.linalg.qr(sample.T, mode="r")))).sum(axis=0)
+        energy = np.square(np.abs(self._spectrum(np.asarray(np.linalg.qr(sample.T, mode="r"))))).sum(axis=0)
         old = getattr(self, "_denominator", energy)
         self._denominator = old + rate * (energy - old)
 
@@ -198,10 +204,28 @@ class FastScaleFilter:
         spectrum = self._spectrum(self._basis.T @ self._sample(image, position, scale).T)
         response = (self._numerator * spectrum).sum(axis=0) / (self._denominator + np.float32(c.scale_lambda))
         # With an odd number of scales the zeros that irfft appends are the finer grid.
-        values = scipy.fft.irfft(response, n=fine)
+        values = scipy.fft.irfft(response * np.float32(fine / c.number_of_scales), n=fine)
         best = int(np.argmax(values))
         if not c.do_poly_interp:
             return float(self._fine_factors[best])
         near = [(best - 1) % fine, best, (best + 1) % fine]
-        a, b, _ = np.linalg.solve(np.vander(self._fine_factors[near], 3), values[near].astype(np.float64))
+        a, b = parabola(self._fine_factors[near], values[near])
         return float(-b / (2 * a)) if a < 0 else float(self._fine_factors[best])
+
+
+def parabola(x: FloatArray, y: Float) -> tuple[np.float32, np.float32]:
+    """First two coefficients of the parabola ``a x² + b x + c`` through three points.
+
+    As in the authors' code the linear system is solved in single precision, by elimination with row exchanges. It is
+    so near singular that rounding moves the vertex by up to a twentieth of a scale step; published boxes depend on it.
+    """
+    system = np.column_stack([np.vander(x, 3), y]).astype(np.float32)
+    for k in range(2):
+        pivot = k + int(np.argmax(np.abs(system[k:, k])))
+        system[[k, pivot]] = system[[pivot, k]]
+        factors = system[k + 1 :, k] * (np.float32(1) / system[k, k])
+        system[k + 1 :, k + 1 :] -= np.outer(factors, system[k, k + 1 :])
+    c = system[2, 3] / system[2, 2]
+    b = (system[1, 3] - system[1, 2] * c) / system[1, 1]
+    a = (system[0, 3] - system[0, 2] * c - system[0, 1] * b) / system[0, 0]
+    return a, b

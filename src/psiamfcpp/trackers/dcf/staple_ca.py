@@ -80,7 +80,7 @@ class StapleCa:
         # The authors' boxes have the size before this frame's change of scale.
         size = self._areas.target
         found = to_box(self._position - size / 2, size)
-        sample = self._scales.sample(frame, self._position, self._base * self._scale)
+        sample = self._scales.sample(frame, self._position, self._base, self._scale)
         factor = float(self._scales.factors[self._scales.detect(sample)])
         self._scale = clamp_scale(self._scale * factor, self._limits)
         self._areas = self._areas_of(round_half_away(self._base * self._scale))
@@ -99,7 +99,7 @@ class StapleCa:
         c = self._constants
         spectra, patches = self._spectra(frame, self._around)
         self._colours.update(patches[0], self._areas, c.learning_rate_pwp)
-        self._scales.train(self._scales.sample(frame, self._position, self._base * self._scale))
+        self._scales.train(self._scales.sample(frame, self._position, self._base, self._scale))
         # The denominator is summed over the channels, its regulariser too.
         parts = spectra.view(np.float32).reshape(*spectra.shape, 2)
         energy = np.einsum("pcijk,pcijk->pij", parts, parts)
