@@ -7,9 +7,9 @@ from trax_worker import PysotStyle, Setup, main
 FACTS = {
     "name": "HiFT",
     "repository": "https://github.com/vision4robotics/HiFT",
-    "commit": "1ceadcea00af8d9c81997c4b335156680c345f35",
+    "commit": "b66d3eb2c298769830321c66b0495bbfcd4e70c3",
     "licence": "none stated",
-    "weights": "first.pth of the repository's README",
+    "weights": "general_model.pth of the repository's README",
     "modules": ["torch", "cv2", "yacs", "yaml"],
     # pysot/tracker/hift_tracker.py; tools/test.py hands on what OpenCV reads
     "colour": "bgr",

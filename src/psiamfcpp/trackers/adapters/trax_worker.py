@@ -58,7 +58,7 @@ def split_message(line: bytes) -> Optional[Message]:
     start = text.find(PREFIX)
     if start < 0:
         return None
-    kind, _, rest = text[start + len(PREFIX) :].strip().partition(" ")
+    kind, _, rest = text[start + len(PREFIX) :].rstrip().partition(" ")
     if not kind.isalpha():
         raise ProtocolError(f"message {text[start:]!r:.40} has no name")
     arguments: List[str] = []
@@ -167,6 +167,8 @@ def read_memory_image(text: str) -> Any:
         width, height, form, data = text[6:].split(";", 3)
         bytes_each = {"rgb": 3, "gray8": 1, "gray16": 2}[form]
         shape = (int(height), int(width), bytes_each)
+        if min(shape) < 1:
+            raise ValueError("no pixels")
         pixels = np.frombuffer(base64.b64decode(data), np.uint8).reshape(shape)
     except (KeyError, ValueError):
         raise ProtocolError(f"image {text!r:.40} cannot be decoded") from None
