@@ -6,12 +6,25 @@ import os
 import signal
 import sys
 import threading
+from collections.abc import Iterator
 
 import pytest
 
 from psiamfcpp.signals import ended_like_ctrl_c
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="no such signals")
+
+
+@pytest.fixture(autouse=True)
+def _as_in_a_foreground_shell() -> Iterator[None]:
+    """A test run started by nohup or in the background has signals ignored, which would stay so."""
+    kinds = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+    before = [
+        signal.signal(kind, signal.default_int_handler if kind == signal.SIGINT else signal.SIG_DFL) for kind in kinds
+    ]
+    yield
+    for kind, handler in zip(kinds, before, strict=True):
+        signal.signal(kind, handler)
 
 
 def send(kind: int) -> None:

@@ -108,7 +108,9 @@ def _described(options: TrainOptions) -> dict[str, Any]:
     """The options; a teacher's files are named without their folder, and not at all where there are none."""
     described = dataclasses.asdict(options)
     teacher = described.pop("teacher")
+    if not options.teacher.stored:
+        del teacher["stored"], teacher["stored_weight"]
     if options.teacher.teacher or options.teacher.stored:
-        names = {key: Path(teacher[key]).name for key in ("teacher", "stored")}
+        names = {key: Path(teacher[key]).name for key in ("teacher", "stored") if key in teacher}
         described["teacher"] = {**teacher, **names}
     return described
