@@ -19,7 +19,6 @@ from psiamfcpp import Tracker
 from psiamfcpp.datasets import Sequence, read
 from psiamfcpp.demo.clip import render
 from psiamfcpp.geometry import Box, Image
-from psiamfcpp.images import read_image
 from psiamfcpp.zoo import graph_names
 
 
@@ -55,7 +54,7 @@ def _demo() -> Iterator[tuple[Image, Box]]:
 
 def _frames_of(sequence: Sequence) -> Callable[[], Iterator[tuple[Image, Box]]]:
     def frames() -> Iterator[tuple[Image, Box]]:
-        return ((read_image(path), tuple(box)) for path, box in zip(sequence.frames, sequence.boxes, strict=True))
+        return ((sequence.frame(i), tuple(sequence.boxes[i])) for i in range(len(sequence)))
 
     return frames
 
