@@ -16,7 +16,7 @@ from psiamfcpp.spec import FULL_WIDTHS
 
 from .conftest import Run
 
-KEYS = {"parameters", "gmacs", "widths", "search_size", "constants", "calibration", "provenance"}
+KEYS = {"architecture", "parameters", "gmacs", "widths", "search_size", "constants", "calibration", "provenance"}
 
 
 def test_info_describes_a_narrow_model(run: Run, tiny_model: Path) -> None:
