@@ -119,9 +119,14 @@ def score_size(search_size: int, template_size: int = TEMPLATE_SIZE) -> int:
     return architecture(DEFAULT).score_size(search_size, template_size)
 
 
-def first_cell(search_size: int, template_size: int = TEMPLATE_SIZE) -> int:
-    """Return the pixel of the search crop, in x and in y, at which cell 0 of the score map stands: 87 for 303."""
-    return (search_size - 1 - (score_size(search_size, template_size) - 1) * STRIDE) // 2
+def first_cell(search_size: int, cells: int | None = None) -> int:
+    """Return the pixel of the search crop, in x and in y, at which cell 0 of the score map stands: 87 for 303.
+
+    Args:
+        search_size: side of the search crop, pixels.
+        cells: side of the score map; by default that of the default architecture.
+    """
+    return (search_size - 1 - ((cells or score_size(search_size)) - 1) * STRIDE) // 2
 
 
 def _check_widths(widths: Mapping[str, int], arch: Architecture) -> None:

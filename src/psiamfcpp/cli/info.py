@@ -32,6 +32,7 @@ def info(model: Annotated[str, tyro.conf.Positional], json: bool = False) -> Non
     if json:
         print_json(facts)
         return
+    print(f"architecture {facts['architecture']}")
     print(f"parameters   {facts['parameters']:,}")
     print(f"search       {facts['gmacs']:.2f} GMAC at {spec.search_size} pixels")
     print("widths       " + ", ".join(f"{name} {width}" for name, width in spec.widths.items()))

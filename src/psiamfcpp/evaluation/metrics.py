@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from psiamfcpp.errors import UserError
-from psiamfcpp.geometry import FloatArray, centre, overlap
+from psiamfcpp.geometry import FloatArray, centre, centre_error, overlap
 
 Convention = Literal["otb", "got10k"]
 
@@ -75,9 +75,8 @@ def score_sequence(truth: ArrayLike, result: ArrayLike, convention: Convention =
     boxes = boxes[np.maximum.accumulate(np.where(usable, np.arange(len(boxes)), 0))]
     with np.errstate(divide="ignore", invalid="ignore"):
         valid = (truth > 0).all(axis=1) if convention == "otb" else ~np.isnan(truth).any(axis=1)
-        offset = centre(boxes) - centre(truth)
-        error = np.linalg.norm(offset, axis=1)
-        normalized = np.linalg.norm(offset / truth[:, 2:], axis=1)
+        error = centre_error(boxes, truth)
+        normalized = np.linalg.norm((centre(boxes) - centre(truth)) / truth[:, 2:], axis=1)
         overlaps = overlap(boxes, truth)
     invalid = int((~valid).sum())
     if convention == "otb":

@@ -1,4 +1,4 @@
-"""The graphs of SiamFC++ with AlexNet: what is folded in them, the correlation, and the boxes."""
+"""The graphs of SiamFC++: what is folded in them, the correlation, and the boxes."""
 
 from __future__ import annotations
 
@@ -14,11 +14,8 @@ from psiamfcpp.export.builder import Builder, Ranges
 from psiamfcpp.export.layers import Layer, divided, filled_up, folded
 from psiamfcpp.models.arch import by_depth, walk
 from psiamfcpp.models.network import SiamFCpp
-from psiamfcpp.models.siamfcpp_alexnet import ARCHITECTURE
 from psiamfcpp.spec import STRIDE, ModelSpec
 
-# Side of the correlation's kernel.
-KERNEL = ARCHITECTURE.side("neck.cls_template", ARCHITECTURE.template_size)
 # Step and zero of 8 bits that hold -1 to 1.
 _EVEN = np.float32(1 / 127), 128
 # What the network clamps the logarithm of distances to, see `psiamfcpp.models.network.Head`.
@@ -31,19 +28,19 @@ def layers(model: SiamFCpp) -> dict[str, Layer]:
     offsets = found["head.reg_offsets"]
     si, bi = np.float32(model.head.si.item()), np.float32(model.head.bi.item())
     found["head.reg_offsets"] = Layer(offsets.weight, offsets.gain * si, offsets.bias * si + bi)
-    return filled_up(found, ARCHITECTURE)
+    return filled_up(found, model.spec.arch)
 
 
 def template_graph(spec: ModelSpec, layers: Mapping[str, Layer], ranges: Ranges) -> onnx.ModelProto:
     """The graph ``crop (1, 127, 127, 3) uint8 BGR -> cls_kernel, reg_kernel (1, C, 4, 4)``."""
     graph = Builder(layers, ranges)
-    x = _backbone(graph)
+    x, kernel = _backbone(graph, spec), _kernel(spec)
     side = spec.template_size
     outputs = {
         f"{branch}_kernel": (
             graph.conv(f"neck.{branch}_template", x, relu=False),
             TensorProto.FLOAT,
-            [1, spec.widths[f"neck.{branch}"], KERNEL, KERNEL],
+            [1, spec.widths[f"neck.{branch}"], kernel, kernel],
         )
         for branch in ("cls", "reg")
     }
@@ -56,16 +53,16 @@ def search_graph(spec: ModelSpec, layers: Mapping[str, Layer], ranges: Ranges) -
 
     Boxes are x0, y0, x1, y1 in pixels of the crop; S is free.
     """
-    graph = Builder(divided(layers, ranges.factors, ARCHITECTURE), ranges)
-    cls, reg = _correlation(graph, [spec.widths["neck.cls"], spec.widths["neck.reg"]])
-    hidden = by_depth(row for row in ARCHITECTURE.part("head") if row.group)
+    graph = Builder(divided(layers, ranges.factors, spec.arch), ranges)
+    cls, reg = _correlation(graph, spec)
+    hidden = by_depth(row for row in spec.arch.part("head") if row.group)
     maps = walk(hidden, {"cls": cls, "reg": reg}, graph.layer)
     both = graph.add("Sigmoid", graph.conv("head.scores", maps["head.cls3"], relu=False))
     scores = graph.add("ReduceProd", both, axes=[1], keepdims=0)
     boxes = _boxes(graph, scores, graph.conv("head.reg_offsets", maps["head.reg3"], relu=False))
     inputs = [helper.make_tensor_value_info("crop", TensorProto.UINT8, [1, "size", "size", 3])]
     for branch in ("cls", "reg"):
-        shape = [1, spec.widths[f"neck.{branch}"], KERNEL, KERNEL]
+        shape = [1, spec.widths[f"neck.{branch}"], _kernel(spec), _kernel(spec)]
         inputs.append(helper.make_tensor_value_info(f"{branch}_kernel", TensorProto.FLOAT, shape))
     outputs = {
         "scores": (scores, TensorProto.FLOAT, [1, "cells", "cells"]),
@@ -74,9 +71,14 @@ def search_graph(spec: ModelSpec, layers: Mapping[str, Layer], ranges: Ranges) -
     return graph.model(spec, inputs, outputs)
 
 
-def _backbone(graph: Builder) -> str:
+def _kernel(spec: ModelSpec) -> int:
+    """Side of the correlation's kernel: 4 for a template crop of 127 pixels."""
+    return spec.arch.side("neck.cls_template", spec.template_size)
+
+
+def _backbone(graph: Builder, spec: ModelSpec) -> str:
     """Features of the input ``crop``."""
-    first, *others = ARCHITECTURE.part("backbone")
+    first, *others = spec.arch.part("backbone")
     x = graph.pooled(first, _first(graph))
     return walk(others, {first.name: x}, graph.layer)[others[-1].name]
 
@@ -109,26 +111,29 @@ def _two_by_two(graph: Builder) -> str:
     return str(graph.add("Transpose", x, name="pixels", perm=[0, 3, 1, 2]))
 
 
-def _correlation(graph: Builder, widths: list[int]) -> tuple[str, str]:
+def _correlation(graph: Builder, spec: ModelSpec) -> tuple[str, str]:
     """Both depth-wise correlations in one grouped convolution, which is the fastest way in onnxruntime and OpenVINO.
 
     Its weight is an input, so its groups are fixed and the batch is one: `benchmarks/correlation.py` has the others.
     """
+    widths, side = [spec.widths["neck.cls"], spec.widths["neck.reg"]], _kernel(spec)
     kernels = graph.add("Concat", "cls_kernel", "reg_kernel", axis=1)
-    kernels = graph.add("Reshape", kernels, graph.constant(np.array([-1, 1, KERNEL, KERNEL])))
+    kernels = graph.add("Reshape", kernels, graph.constant(np.array([-1, 1, side, side])))
     split = graph.constant(np.array(widths))
     ranges = graph.ranges
     if "neck.search" in ranges.inputs and ranges.features is not None and ranges.maps is not None:
-        maps = _integer_correlation(graph, kernels, ranges.features, ranges.maps)
+        maps = _integer_correlation(graph, spec, kernels, ranges.features, ranges.maps)
         cls, reg = graph.add("Split", maps, split, name="branches", outputs=2, axis=1)
         return graph.from_uint8(cls, *_EVEN), graph.from_uint8(reg, *_EVEN)
-    features = graph.conv("neck.search", _backbone(graph), relu=False)
-    maps = graph.add("Conv", features, kernels, name="correlation", group=sum(widths), kernel_shape=[KERNEL, KERNEL])
+    features = graph.conv("neck.search", _backbone(graph, spec), relu=False)
+    maps = graph.add("Conv", features, kernels, name="correlation", group=sum(widths), kernel_shape=[side, side])
     cls, reg = graph.add("Split", maps, split, name="branches", outputs=2, axis=1)
     return cls, reg
 
 
-def _integer_correlation(graph: Builder, kernels: str, features: NDArray[np.float32], maps: NDArray[np.float32]) -> str:
+def _integer_correlation(
+    graph: Builder, spec: ModelSpec, kernels: str, features: NDArray[np.float32], maps: NDArray[np.float32]
+) -> str:
     """The correlation of ``kernels (C, 1, 4, 4)``, float, in integers; its maps in 8 bits.
 
     Every channel uses all of its 8 bits: the neck's weights bring its features to one range, the kernels' steps,
@@ -152,9 +157,9 @@ def _integer_correlation(graph: Builder, kernels: str, features: NDArray[np.floa
     steps = graph.add("Mul", steps, graph.constant(features / maps, "kernel_range"))
     kernels = graph.add("DequantizeLinear", whole, steps, zeros, axis=0)
 
-    x = graph.conv("neck.search", _backbone(graph), relu=False)
+    x = graph.conv("neck.search", _backbone(graph, spec), relu=False)
     x = graph.from_uint8(graph.to_uint8(x, *_EVEN), *_EVEN)
-    x = graph.add("Conv", x, kernels, name="correlation", group=len(maps), kernel_shape=[KERNEL, KERNEL])
+    x = graph.add("Conv", x, kernels, name="correlation", group=len(maps), kernel_shape=[_kernel(spec)] * 2)
     return graph.to_uint8(x, *_EVEN)
 
 

@@ -191,7 +191,7 @@ def _channel_by_channel(maps: Tensor, kernels: Tensor, padding: Sequence[int] = 
 
 def cell_grid(search_size: int, cells: int, device: torch.device | None = None) -> Tensor:
     """Pixel ``(x, y)`` of the crop at which each cell of the score map stands: ``(N, N, 2)``, row by row."""
-    line = first_cell(search_size) + STRIDE * torch.arange(cells, device=device, dtype=torch.float32)
+    line = first_cell(search_size, cells) + STRIDE * torch.arange(cells, device=device, dtype=torch.float32)
     y, x = torch.meshgrid(line, line, indexing="ij")
     return torch.stack([x, y], dim=-1)
 
