@@ -74,7 +74,7 @@ class ArcfHc:
         self._filter = admm.solve(self._model, self._label, self._scheme, w.cells)
         self._remember(self._respond(self._model))
         self._scales = ScaleFilter(c.scale, size)
-        self._scales.train(self._scales.sample(frame, self._position, w.base * self._scale))
+        self._scales.train(self._scales.sample(frame, self._position, w.base, self._scale))
 
     def update(self, frame: Image) -> tuple[Box, NDArray[Any]]:
         """The box in the next frame, and the response that it was found in."""
@@ -82,7 +82,7 @@ class ArcfHc:
         plane = self._respond(self._look(frame))
         shift, _, _ = fourier.newton_peak(plane[None], c.newton_iterations)
         self._position = round_half_away(self._position) + shift * w.cell * self._scale
-        best = scales.detect(scales.sample(frame, self._position, w.base * self._scale))
+        best = scales.detect(scales.sample(frame, self._position, w.base, self._scale))
         self._scale = clamp_scale(self._scale * scales.factors[best], self._limits)
 
         before, place = self._response, self._place
@@ -93,7 +93,7 @@ class ArcfHc:
         sample *= np.float32(c.learning_rate)
         self._model += sample
         self._filter = admm.solve(self._model, self._label, self._scheme, w.cells, echo=(aligned, c.gamma))
-        scales.train(scales.sample(frame, self._position, w.base * self._scale))
+        scales.train(scales.sample(frame, self._position, w.base, self._scale))
 
         size = w.base * self._scale
         return to_box(round_half_away(self._position - (size - 1) / 2), round_half_away(size)), self._response

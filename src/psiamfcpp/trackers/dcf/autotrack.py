@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from psiamfcpp.geometry import Box, FloatArray, Image
+from psiamfcpp.geometry import Box, Image
 from psiamfcpp.trackers.dcf import admm, fourier
 from psiamfcpp.trackers.dcf.features import Float
 from psiamfcpp.trackers.dcf.geometry import (
@@ -78,7 +78,7 @@ class AutoTrack:
         self._settled: NDArray[Any] | None = None
         """the response of the frame before, with its peak rolled to index 0"""
         self._scales = ScaleFilter(c.scale, size)
-        self._scales.train(self._scales.sample(frame, self._position, w.base * self._scale))
+        self._scales.train(self._scales.sample(frame, self._position, w.base, self._scale))
 
     def update(self, frame: Image) -> tuple[Box, NDArray[Any]]:
         """The box in the next frame, and the response that it was found in."""
@@ -138,17 +138,19 @@ class AutoTrack:
 
     def _follow_scale(self, frame: Image) -> None:
         """Find the scale at the new position and train its filter on the same patches, moved to the new scale."""
-        scales, base = self._scales, self._window.base
-        columns = scales.columns(frame, self._position, base * self._scale)
+        scales = self._scales
+        columns = scales.columns(frame, self._position, self._window.base, scale=self._scale)
         best = scales.detect(columns * scales.window)
         self._scale = clamp_scale(self._scale * scales.factors[best], self._limits)
-        scales.train(self._moved(columns, best - scales.middle, frame, base * self._scale) * scales.window)
+        scales.train(self._moved(columns, best - scales.middle, frame) * scales.window)
 
-    def _moved(self, columns: Float, steps: int, frame: Image, size: FloatArray) -> Float:
-        columns = columns * (self._scales.window / (self._scales.window + np.float32(_WINDOW_FLOOR)))
+    def _moved(self, columns: Float, steps: int, frame: Image) -> Float:
+        """Columns of the detection at the new scale: ``steps`` further on, and fresh ones where there were none."""
         if steps == 0:
             return columns
+        scales = self._scales
+        columns = columns * (scales.window / (scales.window + np.float32(_WINDOW_FLOOR)))
         fresh = slice(-steps, None) if steps > 0 else slice(None, -steps)
         moved = np.roll(columns, -steps, axis=0)
-        moved[fresh] = self._scales.columns(frame, self._position, size, fresh)
+        moved[fresh] = scales.columns(frame, self._position, self._window.base, fresh, self._scale)
         return moved

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from psiamfcpp.geometry import Box, Image
 from psiamfcpp.trackers.dcf import admm, fourier
-from psiamfcpp.trackers.dcf.features import fhog
 from psiamfcpp.trackers.dcf.geometry import (
     clamp_scale,
     is_grey,
@@ -19,7 +18,7 @@ from psiamfcpp.trackers.dcf.geometry import (
     scale_limits,
     to_box,
 )
-from psiamfcpp.trackers.dcf.window import fixed_area_window, responses, spectra
+from psiamfcpp.trackers.dcf.window import fixed_area_window, hog_of, responses, spectra
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,7 +55,7 @@ class Bacf:
         steps = np.arange(c.number_of_scales) - (c.number_of_scales - 1) // 2
         self._factors = c.scale_step ** steps.astype(float)
 
-        self._features = (lambda patch, cell: fhog(patch[..., 2], cell)) if is_grey(frame) else fhog
+        self._features = hog_of(is_grey(frame))
         self._cosine = fourier.hann2(w.cells).astype(np.float32)
         self._label = fourier.rfft2(w.label(c.output_sigma_factor))
         self._scheme = admm.Scheme(

@@ -133,29 +133,34 @@ def _linear(image, top, left, height, width, area, out):  # type: ignore[no-unty
         if index_x[x] < 0 or index_x[x] >= width - 1:
             index_x[x] = min(max(index_x[x], 0), width - 1)
             weights_x[x, 0], weights_x[x, 1] = 1 << _BITS, 0
-    lines = np.empty((2, columns, channels), np.int64)
+    # by byte of the target's row: bytes to read, and weights
+    near, far = np.empty((2, columns * channels), np.int64)
+    share_near, share_far = np.empty((2, columns * channels), np.int32)
+    for x in range(columns):
+        for channel in range(channels):
+            i = x * channels + channel
+            near[i] = (left + index_x[x]) * channels + channel
+            far[i] = min(near[i] + channels, (left + width - 1) * channels + channel)
+            share_near[i], share_far[i] = weights_x[x, 0], weights_x[x, 1]
+    flat, target = image.reshape(image.shape[0], -1), out.reshape(rows, -1)
+    lines = np.empty((2, columns * channels), np.int32)
     held = np.full(2, -1)
     for y in range(rows):
         for part in range(2):
             source = min(max(index_y[y] + part, 0), height - 1)
-            if held[part] == source:
-                continue
-            if part == 0 and held[1] == source:
-                lines[0] = lines[1]
-            else:
-                for x in range(columns):
-                    near = left + index_x[x]
-                    far = min(near + 1, left + width - 1)
-                    for channel in range(channels):
-                        a, b = np.int64(image[top + source, near, channel]), np.int64(image[top + source, far, channel])
-                        # four bits are dropped before the vertical pass, as its vector form does
-                        lines[part, x, channel] = (a * weights_x[x, 0] + b * weights_x[x, 1]) >> 4
-            held[part] = source
-        upper, lower = weights_y[y, 0], weights_y[y, 1]
-        for x in range(columns):
-            for channel in range(channels):
-                v = ((lines[0, x, channel] * upper) >> 16) + ((lines[1, x, channel] * lower) >> 16)
-                out[y, x, channel] = min((v + 2) >> 2, 255)
+            if held[part] != source:
+                line, pixels = lines[part], flat[top + source]
+                if part == 0 and held[1] == source:
+                    line[:] = lines[1]
+                else:
+                    # four bits are dropped before the vertical pass, as its vector form does
+                    for i in range(len(line)):
+                        line[i] = (pixels[near[i]] * share_near[i] + pixels[far[i]] * share_far[i]) >> 4
+                held[part] = source
+        upper, lower = np.int32(weights_y[y, 0]), np.int32(weights_y[y, 1])
+        for i in range(columns * channels):
+            v = ((lines[0, i] * upper) >> 16) + ((lines[1, i] * lower) >> 16)
+            target[y, i] = min((v + 2) >> 2, 255)
 
 
 @_compiled

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from psiamfcpp.geometry import FloatArray
 from psiamfcpp.trackers.dcf import fourier
-from psiamfcpp.trackers.dcf.features import grey_hog_names
+from psiamfcpp.trackers.dcf.features import fhog, grey_hog_names
 from psiamfcpp.trackers.dcf.geometry import Pixels, Size, crop, resize_auto, round_half_away, whole
 
 Features = Callable[[Pixels, int], NDArray[np.float32]]
@@ -88,6 +88,13 @@ def clamped_area_window(size: FloatArray, search_area_scale: float, cell: int, m
 def _multiple(side: float, cell: int) -> int:
     """The side rounded to a multiple of the cell, at least three cells."""
     return max(int(round_half_away(side / cell)), 3) * cell
+
+
+def hog_of(grey: bool) -> Features:
+    """Feature function of BACF: fHOG, of one channel in a grey sequence."""
+    if not grey:
+        return lambda patch, cell: fhog(patch, cell, sse=True)
+    return lambda patch, cell: fhog(patch[..., 2], cell, sse=True)
 
 
 def grey_hog_names_of(grey: bool) -> Features:
