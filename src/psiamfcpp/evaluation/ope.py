@@ -13,7 +13,7 @@ from psiamfcpp.errors import UserError
 from psiamfcpp.evaluation.metrics import Scores, mean_scores, score_sequence
 from psiamfcpp.evaluation.trackers import Follower
 from psiamfcpp.geometry import FloatArray
-from psiamfcpp.images import read_image
+from psiamfcpp.images import ImageReader
 
 
 @dataclass(frozen=True)
@@ -50,9 +50,10 @@ def one_pass(tracker: Follower, sequence: Sequence) -> Pass:
     boxes = np.full((len(sequence), 4), np.nan)
     seconds, decoding = np.full(len(sequence), np.nan), np.full(len(sequence), np.nan)
     boxes[start] = sequence.boxes[start]
+    images = ImageReader()
     for i in range(start, len(sequence)):
         begin = time.perf_counter()
-        frame = read_image(sequence.frames[i])
+        frame = images.read(sequence.frames[i])
         decoded = time.perf_counter()
         if i == start:
             tracker.init(frame, sequence.boxes[i])
