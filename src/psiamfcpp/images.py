@@ -2,36 +2,104 @@
 
 from __future__ import annotations
 
+import os
 import re
+import stat
 from collections.abc import Iterable
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from psiamfcpp.errors import UserError
 from psiamfcpp.geometry import Image
 
+# In percent: what is darker or brighter is cut off.
+_OUTLIERS = (0.1, 99.9)
 IMAGE_SUFFIXES = {".bmp", ".jpeg", ".jpg", ".png", ".tif", ".tiff", ".webp"}
 
 
+class ImageReader:
+    """Reads the images of one sequence.
+
+    Images of more than 8 bits, as thermal cameras write them, use a small part of their range, and another one each.
+    They are stretched by the range of the first one that has any contrast, so that all have the same grey levels.
+    """
+
+    def __init__(self) -> None:
+        self._range: tuple[float, float] | None = None
+
+    def read(self, path: Path) -> Image:
+        """Return an image file as ``(height, width, 3)`` uint8, BGR.
+
+        Raises:
+            UserError: the file is missing, is no file or cannot be decoded.
+        """
+        try:
+            # imread cannot open every name on every system
+            image = _decoded(_bytes(path))
+        except FileNotFoundError:
+            raise UserError(f"image {path} does not exist") from None
+        except (OSError, ValueError, cv2.error):
+            image = None
+        if image is None:
+            raise UserError(f"image {path} cannot be read: replace or remove it")
+        return np.asarray(image, np.uint8) if image.dtype == np.uint8 else self._stretched(image)
+
+    def _stretched(self, image: NDArray[Any]) -> Image:
+        values = image.astype(np.float64)
+        finite = values[np.isfinite(values)]
+        if self._range is None and finite.size and finite.min() < finite.max():
+            # single hot or dead pixels are not the range
+            low, high = np.percentile(finite, _OUTLIERS)
+            self._range = (low, high) if low < high else (finite.min(), finite.max())
+        if self._range is None:
+            return np.zeros(image.shape, np.uint8)
+        low, high = self._range
+        return np.clip(np.nan_to_num((values - low) * (255 / (high - low))).round(), 0, 255).astype(np.uint8)
+
+
 def read_image(path: Path) -> Image:
-    """An image file as ``(height, width, 3)`` uint8, BGR.
+    """Return one image file as ``(height, width, 3)`` uint8, BGR; see `ImageReader` for those of a sequence.
 
     Raises:
-        UserError: the file is missing or cannot be decoded.
+        UserError: the file is missing, is no file or cannot be decoded.
     """
-    try:
-        # imread cannot open every name on every system
-        data = np.fromfile(path, dtype=np.uint8)
-        image = cv2.imdecode(data, cv2.IMREAD_COLOR) if data.size else None
-    except FileNotFoundError:
-        raise UserError(f"image {path} does not exist") from None
-    except (OSError, cv2.error):
-        image = None
+    return ImageReader().read(path)
+
+
+def _bytes(path: Path) -> NDArray[np.uint8]:
+    """The content of a regular file; a pipe would be waited for without end, and a device may have no end."""
+    # without O_NONBLOCK already opening a pipe waits for its writer
+    descriptor = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
+    if not stat.S_ISREG(os.fstat(descriptor).st_mode):
+        os.close(descriptor)
+        raise UserError(f"image {path} is not a file: replace or remove it")
+    with os.fdopen(descriptor, "rb") as file:
+        return np.fromfile(file, dtype=np.uint8)
+
+
+def _decoded(data: NDArray[np.uint8]) -> NDArray[Any] | None:
+    """The image in three channels and its own depth; None where it is none."""
+    if not data.size:
+        return None
+    quiet_opencv()
+    image = cv2.imdecode(data, cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH)
     if image is None:
-        raise UserError(f"image {path} cannot be read: replace or remove it")
-    return np.asarray(image, dtype=np.uint8)
+        # TIFF of real numbers is only read as it is
+        image = cv2.imdecode(data, cv2.IMREAD_UNCHANGED)
+    if image is None:
+        return None
+    return np.repeat(image[..., None], 3, axis=2) if image.ndim == 2 else image[..., :3]
+
+
+def quiet_opencv() -> None:
+    """Keep OpenCV from printing what we say better."""
+    # OpenCV 5 moved it; 0 is "silent" in both places
+    set_log_level = getattr(cv2, "setLogLevel", None) or cv2.utils.logging.setLogLevel
+    set_log_level(0)
 
 
 def image_files(paths: Iterable[Path]) -> list[Path]:

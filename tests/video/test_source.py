@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import http.server
+import os
 import socket
 import threading
 import time
@@ -118,6 +119,62 @@ def test_what_is_no_source_is_named(tmp_path: Path, name: str, content: bytes | 
         open_source(str(path))
     assert str(path) in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        os.fsdecode(b"\xff\xfe.mp4"),
+        os.fsdecode(b"/tmp/\xff/a.mp4"),
+        "rtsp://host/\udcff",
+        "a\0b.mp4",
+        "",
+        "x" * 5000,
+        "x" * 300 + "/a.mp4",
+        "~nobody-of-that-name/a.mp4",
+        "9" * 30,
+        "9" * 5000,
+        "10000",
+        -1,
+        10**30,
+    ],
+)
+def test_names_that_would_crash_a_library_are_refused_in_one_line(name: str | int) -> None:
+    with pytest.raises(UserError) as caught:
+        open_source(name)
+    assert "\n" not in str(caught.value)
+
+
+def test_files_whose_names_are_not_utf8_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / os.fsdecode(b"\xff\xfe.mp4")
+    path.write_bytes(write_video(tmp_path / "a.mp4", 3).read_bytes())
+    with pytest.raises(UserError, match="rename it"):
+        open_source(path)
+    with pytest.raises(UserError, match="rename it"):
+        VideoWriter(path, 25, (64, 48))
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs pipes")
+@pytest.mark.parametrize("suffix", [".mp4", ".png"])
+def test_a_pipe_is_no_source_and_no_output(tmp_path: Path, suffix: str) -> None:
+    path = tmp_path / f"pipe{suffix}"
+    os.mkfifo(path)
+    with pytest.raises(UserError, match="is a pipe or a device"):
+        open_source(path)
+    if suffix == ".mp4":
+        with pytest.raises(UserError, match="cannot be written: it is a pipe or a device"):
+            VideoWriter(path, 25, (64, 48))
+
+
+def test_images_of_more_than_8_bits_keep_one_scale(tmp_path: Path) -> None:
+    for number, low in enumerate((7000, 7100)):
+        frame = np.full((48, 64), low, np.uint16)
+        frame[10:30, 10:30] = 7800
+        cv2.imwrite(str(tmp_path / f"{number}.png"), frame)
+    with open_source(tmp_path) as source:
+        first, second = source
+    assert (first[0, 0, 0], first[20, 20, 0]) == (0, 255)
+    assert (second[0, 0, 0], second[20, 20, 0]) == (32, 255)
 
 
 @pytest.mark.parametrize("suffix", [".mkv", ".avi"])

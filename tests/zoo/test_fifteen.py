@@ -6,10 +6,10 @@ import re
 from pathlib import Path
 
 import pytest
-from psiamfcpp.evaluation.trackers import ModelOptions, choose
 
 from psiamfcpp import datasets, zoo
 from psiamfcpp.evaluation.ope import mean_over
+from psiamfcpp.trackers import TrackerOptions, open_tracker
 
 FOLDER = Path(zoo.__file__).parent
 INT8 = [name for name in zoo.graph_names() if name.endswith("-int8")]
@@ -44,7 +44,7 @@ def test_a_shipped_model_does_what_its_card_says(name: str, plain: bool, shared_
         pytest.skip(f"{missing[0]} is not there: it holds a part of the fifteen sequences")
     sequences = [sequence for root in roots for sequence in datasets.read("folder", root)]
     assert len(sequences) == 15
-    tracker = choose(name, ModelOptions(threads=1, plain=plain)).open()
+    tracker = open_tracker(name, TrackerOptions(threads=1, plain=plain))
     found, (precision, auc) = mean_over(tracker, sequences).figures, on_the_card(name)[plain]
     assert found["precision"] >= precision - _BELOW
     assert found["auc"] >= auc - _BELOW

@@ -17,7 +17,7 @@ import numpy as np
 
 from psiamfcpp.errors import UserError
 from psiamfcpp.geometry import Image
-from psiamfcpp.images import read_image
+from psiamfcpp.images import ImageReader, read_image
 
 # JPEG at which another compression shows least: a frame is decoded in a third of the time that WebP takes.
 _QUALITY = 95
@@ -45,15 +45,19 @@ def video_frames(video: Path) -> list[VideoFrame]:
         return [VideoFrame(video, number) for number in range(int(capture.get(cv2.CAP_PROP_FRAME_COUNT)))]
 
 
-def read_frame(frame: Frame) -> Image:
-    """A frame as ``(height, width, 3)`` uint8, BGR.
+def read_frame(frame: Frame, images: ImageReader | None = None) -> Image:
+    """Return a frame as ``(height, width, 3)`` uint8, BGR.
 
     Frames of a video are cheap in order, since the decoder goes on from the last one; a frame before that begins anew.
+
+    Args:
+        frame: where it is.
+        images: reader of the sequence, which gives images of more than 8 bits one range; by default each has its own.
 
     Raises:
         UserError: the file is missing or cannot be decoded, or the video ends before the frame.
     """
-    return _DECODER.read(frame) if isinstance(frame, VideoFrame) else read_image(frame)
+    return _DECODER.read(frame) if isinstance(frame, VideoFrame) else (images or ImageReader()).read(frame)
 
 
 class FrameStore:

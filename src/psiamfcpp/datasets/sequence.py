@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from psiamfcpp.datasets.frames import Frame, read_frame
 from psiamfcpp.errors import UserError
 from psiamfcpp.geometry import FloatArray, Image
+from psiamfcpp.images import ImageReader
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,13 +42,13 @@ class Sequence:
         # A comparison with NaN is False.
         return np.flatnonzero(np.isfinite(self.boxes).all(axis=1) & ((sides > 0) & (sides >= min_side)).all(axis=1))
 
-    def frame(self, number: int) -> Image:
+    def frame(self, number: int, images: ImageReader | None = None) -> Image:
         """Frame ``number``, from 0, as ``(height, width, 3)`` uint8, BGR; frames of a video are cheap in order.
 
         Raises:
             UserError: it cannot be read.
         """
-        return read_frame(self.frames[number])
+        return read_frame(self.frames[number], images)
 
 
 def require(path: Path, layout: str) -> Path:

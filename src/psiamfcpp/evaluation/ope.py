@@ -12,6 +12,7 @@ from psiamfcpp.datasets import Sequence
 from psiamfcpp.errors import UserError
 from psiamfcpp.evaluation.metrics import Scores, mean_scores, score_sequence
 from psiamfcpp.geometry import FloatArray
+from psiamfcpp.images import ImageReader
 from psiamfcpp.trackers.contract import Tracker
 
 
@@ -49,9 +50,10 @@ def one_pass(tracker: Tracker, sequence: Sequence) -> Pass:
     boxes = np.full((len(sequence), 4), np.nan)
     seconds, decoding = np.full(len(sequence), np.nan), np.full(len(sequence), np.nan)
     boxes[start] = sequence.boxes[start]
+    images = ImageReader()
     for i in range(start, len(sequence)):
         begin = time.perf_counter()
-        frame = sequence.frame(i)
+        frame = sequence.frame(i, images)
         decoded = time.perf_counter()
         if i == start:
             tracker.init(frame, sequence.boxes[i])

@@ -7,7 +7,18 @@ import os
 
 import cv2
 
+from psiamfcpp.images import quiet_opencv
+
 FALLBACK_FPS = 30.0
+
+
+# OpenCV takes so many packets in a row without a frame for the end of the file: by default 4,096 of sound or telemetry
+# between two images, and 64 damaged ones. -8 is FFmpeg's "quiet".
+_SETTINGS = {
+    "OPENCV_FFMPEG_LOGLEVEL": "-8",
+    "OPENCV_FFMPEG_READ_ATTEMPTS": str(2**31 - 1),
+    "OPENCV_FFMPEG_DECODE_ATTEMPTS": str(2**31 - 1),
+}
 
 
 def open_capture(target: int | str, timeout_s: float | None) -> cv2.VideoCapture:
@@ -17,11 +28,10 @@ def open_capture(target: int | str, timeout_s: float | None) -> cv2.VideoCapture
         target: camera number, path or address.
         timeout_s: for an address: how many seconds opening it, and waiting for a frame, may take.
     """
-    # read once, when FFmpeg is first used: -8 is its "quiet"
-    os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
-    # OpenCV 5 moved it; 0 is "silent" in both places
-    set_log_level = getattr(cv2, "setLogLevel", None) or cv2.utils.logging.setLogLevel
-    set_log_level(0)
+    # read once, when FFmpeg is first used
+    for name, value in _SETTINGS.items():
+        os.environ.setdefault(name, value)
+    quiet_opencv()
     if isinstance(target, int):
         return cv2.VideoCapture(target)
     if timeout_s is None:

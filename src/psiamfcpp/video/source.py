@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import glob
+import importlib.util
+import itertools
 import re
+import stat
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,10 +17,12 @@ import numpy as np
 
 from psiamfcpp.errors import UserError
 from psiamfcpp.geometry import Image
-from psiamfcpp.images import IMAGE_SUFFIXES, image_files, read_image
+from psiamfcpp.images import IMAGE_SUFFIXES, ImageReader, image_files
 from psiamfcpp.video.capture import FALLBACK_FPS, ended_early, open_capture, sane_count, sane_fps
 from psiamfcpp.video.live import LiveReader
+from psiamfcpp.video.streams import Stream, is_whole, open_other_stream
 
+_CAMERA_DIGITS = 4
 _URL_SCHEMES = ("rtsp://", "rtsps://", "http://", "https://")
 _KINDS = "a video, a camera number, an rtsp:// or http:// address, a folder of images or a glob of them"
 
@@ -87,13 +92,23 @@ def open_source(
     """
     text = str(source)
     if isinstance(source, int) or (isinstance(source, str) and source.isdecimal()):
-        return _live(int(source), f"camera {text}", fps, on_event, reconnect_s, timeout_s)
+        if len(text) > _CAMERA_DIGITS or int(text) < 0:
+            raise UserError(f"camera {text[:40]} cannot be opened: give a number from 0 to {10**_CAMERA_DIGITS - 1}")
+        return _live(int(text), f"camera {text}", fps, on_event, reconnect_s, timeout_s)
+    _check_name(text)
     if text.lower().startswith(_URL_SCHEMES):
         return _live(text, f"stream {_without_password(text)}", fps, on_event, reconnect_s, timeout_s)
-    path = Path(text).expanduser()
-    if path.is_dir():
-        return _images(image_files(path.iterdir()), text, f"folder {text} holds no image", fps)
-    if path.is_file():
+    try:
+        path = Path(text).expanduser()
+        kind = path.stat().st_mode if path.exists() else 0
+        inside = list(path.iterdir()) if stat.S_ISDIR(kind) else []
+    except (OSError, RuntimeError) as error:  # RuntimeError: the home of a user that is not there
+        raise UserError(f"{text} cannot be read: {getattr(error, 'strerror', None) or error}") from None
+    if stat.S_ISDIR(kind):
+        return _images(image_files(inside), text, f"folder {text} holds no image", fps)
+    if kind and not stat.S_ISREG(kind):
+        raise UserError(f"{text} is a pipe or a device: give {_KINDS}")
+    if kind:
         if path.suffix.lower() in IMAGE_SUFFIXES:
             return _images([path], text, "", fps)
         return _video(path, text, fps)
@@ -101,6 +116,16 @@ def open_source(
         found = (Path(p) for p in glob.glob(str(path), recursive=True))  # noqa: PTH207 - the pattern may be absolute
         return _images(image_files(found), text, f"{text} matches no image", fps)
     raise UserError(f"{text} does not exist: give {_KINDS}")
+
+
+def _check_name(text: str) -> None:
+    """Refuse what cannot be a name here, and what OpenCV and FFmpeg would crash on."""
+    try:
+        bad = "\0" in text or not text.encode("utf-8")
+    except UnicodeEncodeError:
+        bad = True
+    if bad:
+        raise UserError(f"{text!r} cannot be read: rename it, so that its name is UTF-8 and not empty")
 
 
 def _live(
@@ -116,6 +141,13 @@ def _live(
 
 
 def _video(path: Path, name: str, fps: float | None) -> Source:
+    other = open_other_stream(path)
+    if other is not None:
+        read = _other_frames(other, path, name)
+        if (shown := next(read, None)) is not None:
+            played = fps or other.fps or FALLBACK_FPS
+            return Source(name, played, other.count, False, itertools.chain([shown], read), other.close)
+        other.close()
     # absolute, since FFmpeg takes what stands before a colon in a bare name for a protocol
     capture = open_capture(str(path.absolute()), None)
     ok, first = capture.read()
@@ -127,12 +159,20 @@ def _video(path: Path, name: str, fps: float | None) -> Source:
             raise UserError(f"video {name} holds no frame that can be read: record or copy it again")
         raise UserError(f"{name} is not a video that can be read (or is cut off): give {_KINDS}")
     count, rate = sane_count(capture), sane_fps(capture)
-    frames = _video_frames(capture, np.asarray(first, dtype=np.uint8), name, count, rate)
+    frames = _video_frames(capture, np.asarray(first, dtype=np.uint8), path, name, count, rate)
     return Source(name, fps or rate or FALLBACK_FPS, count, False, frames, capture.release)
 
 
+def _other_frames(stream: Stream, path: Path, name: str) -> Iterator[Image]:
+    read, position_s = 0, 0.0
+    for image, stamp_s in stream.frames:
+        read, position_s = read + 1, stamp_s
+        yield image
+    _check_end(path, name, read, position_s, stream.count, stream.fps)
+
+
 def _video_frames(
-    capture: cv2.VideoCapture, first: Image, name: str, count: int | None, rate: float | None
+    capture: cv2.VideoCapture, first: Image, path: Path, name: str, count: int | None, rate: float | None
 ) -> Iterator[Image]:
     yield first
     read, position_s = 1, 0.0
@@ -143,8 +183,23 @@ def _video_frames(
         read += 1
         position_s = capture.get(cv2.CAP_PROP_POS_MSEC) / 1000
         yield np.asarray(frame, dtype=np.uint8)
-    if ended_early(read, position_s, count, rate):
-        raise UserError(f"video {name} is cut off: {read} of {count} frames could be read; copy it again")
+    if read == 1 and path.stat().st_size > _largest_as_image(first) and importlib.util.find_spec("av") is None:
+        mend = "pip install 'psiamfcpp[video]' reads the rest"
+        raise UserError(f"video {name} holds more than the one image that can be read: {mend}")
+    _check_end(path, name, read, position_s, count, rate)
+
+
+def _largest_as_image(frame: Image) -> int:
+    """Bytes of a file that holds nothing but this frame, generously."""
+    return 4096 + 2 * len(cv2.imencode(".jpg", frame)[1])
+
+
+def _check_end(path: Path, name: str, read: int, position_s: float, count: int | None, rate: float | None) -> None:
+    if not ended_early(read, position_s, count, rate):
+        return
+    if count and rate and is_whole(path, read, count / rate):
+        return
+    raise UserError(f"video {name} is cut off: {read} of {count} frames could be read; copy it again")
 
 
 def _images(paths: list[Path], name: str, none: str, fps: float | None) -> Source:
@@ -155,8 +210,9 @@ def _images(paths: list[Path], name: str, none: str, fps: float | None) -> Sourc
 
 def _image_frames(paths: list[Path]) -> Iterator[Image]:
     size: tuple[int, int] | None = None
+    reader = ImageReader()
     for path in paths:
-        frame = read_image(path)
+        frame = reader.read(path)
         height, width = frame.shape[:2]
         if size is None:
             size = (width, height)

@@ -53,8 +53,16 @@ class VideoWriter:
         self._path, self._size = Path(path), size
         if self._path.suffix.lower() not in SUFFIXES:
             raise UserError(f"video {path} has an unknown format: end its name in {', '.join(SUFFIXES)}")
-        if self._path.is_dir():
-            raise UserError(f"video {path} cannot be written: a folder has that name")
+        try:
+            str(path).encode("utf-8")
+            if self._path.is_dir():
+                raise UserError(f"video {path} cannot be written: a folder has that name")
+            special = self._path.exists() and not self._path.is_file()
+        except (UnicodeEncodeError, OSError, ValueError) as error:
+            reason = getattr(error, "strerror", None) or "rename it, so that its name is UTF-8"
+            raise UserError(f"video {path} cannot be written: {reason}") from None
+        if special:
+            raise UserError(f"video {path} cannot be written: it is a pipe or a device")
         if not (math.isfinite(fps) and fps > 0) or min(size) < 1:
             raise UserError(f"video {path} cannot have {fps:g} fps at {size[0]}x{size[1]}: give more than 0")
         self._part = self._path.with_name(f".{self._path.stem}.{os.getpid()}.part{self._path.suffix}")
