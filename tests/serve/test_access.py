@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import os
 import time
 
 import httpx
@@ -9,8 +11,10 @@ import pytest
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
+from psiamfcpp.errors import UserError
 from psiamfcpp.serve.control import Control
 from psiamfcpp.serve.follower import Follower
+from psiamfcpp.serve.guard import check_address
 
 from .conftest import BLOB, TOKEN, ask, live, served, state, until
 
@@ -81,6 +85,44 @@ def test_the_token_opens_everything(control: Control) -> None:
             assert state(socket)["frame"] > 0
         with live(address, additional_headers={"Authorization": f"Bearer {TOKEN}"}) as socket:
             assert ask(socket, type="start", box=BLOB)["ok"]
+
+
+@pytest.mark.parametrize(
+    "token",
+    [
+        "\U0001f680" * 12,
+        "p\u00e4ssw\u00f6rter-\u00fcber",
+        " " * 12,
+        "a" + " " * 20 + "b",
+        "long enough it is ",
+        " long enough it is",
+        "long\tenough it is",
+        "long enough\nit is",
+        os.fsdecode(b"\xff\xfe long enough it is"),
+        "short",
+        "",
+    ],
+)
+def test_tokens_that_cannot_be_sent_or_can_be_guessed_are_refused(token: str) -> None:
+    for host in ("127.0.0.1", "0.0.0.0"):
+        with pytest.raises(UserError, match="the token ") as caught:
+            check_address(host, token)
+        assert str(caught.value).isascii()
+        assert token not in str(caught.value) or not token
+
+
+def test_every_token_that_is_taken_can_be_sent(control: Control) -> None:
+    token = "".join(map(chr, range(0x21, 0x7F))) + " and a blank"
+    check_address("0.0.0.0", token)
+    with served(control, token=token) as address, httpx.Client(base_url=f"http://{address}") as http:
+        assert http.get("/api/state", headers={"Authorization": f"Bearer {token}"}).status_code == 200
+        assert http.post("/api/login", json={"token": token}).status_code == 200
+        assert http.get("/api/state").status_code == 200
+        # what it cannot be is wrong, and no fault
+        for wrong in ("\U0001f680" * 12, "\ud800" * 12, "x" * 1000):
+            body = json.dumps({"token": wrong})
+            answer = http.post("/api/login", content=body, headers={"Content-Type": "application/json"})
+            assert answer.status_code in (401, 422)
 
 
 def test_tokens_cannot_be_guessed_at_any_rate(control: Control) -> None:

@@ -6,9 +6,9 @@ import contextlib
 import errno
 import http.client as http_client
 import os
+import select
 import socket
 import threading
-import time
 from collections.abc import Iterator
 from typing import Any
 
@@ -33,6 +33,12 @@ class Connection:
         return 5 if self.open else -1
 
     def shutdown(self, _: int) -> None:
+        self.open = False
+
+    def recv(self, _: int) -> bytes:
+        raise BlockingIOError
+
+    def close(self) -> None:
         self.open = False
 
 
@@ -224,8 +230,44 @@ def test_no_file_is_left_and_those_who_come_are_turned_away() -> None:
             assert late.recv(1) == b""
         late.close()
         # afterwards all is as before
-        next_one = socket.create_connection(listener.getsockname())
-        time.sleep(0.05)
-        accepted, _ = listener.accept()
-        accepted.close()
-        next_one.close()
+        with socket.create_connection(listener.getsockname()) as next_one:
+            next_one.sendall(b"GET / HTTP/1.1\r\n\r\n")
+            accepted, _ = until(lambda: accepted_now(listener))
+            accepted.close()
+
+
+def accepted_now(listener: Listener) -> Any:
+    try:
+        return listener.accept()
+    except (BlockingIOError, ConnectionAbortedError):
+        return None
+
+
+@pytest.mark.skipif(not hasattr(select, "epoll"), reason="needs epoll")
+def test_connections_wait_until_they_have_sent_a_head(gate: Gate) -> None:
+    with Listener(socket.AF_INET, socket.SOCK_STREAM) as listener:
+        listener.gate = gate
+        listener.bind(("127.0.0.1", 0))
+        listener.listen()
+        listener.setblocking(False)
+        where = listener.getsockname()
+        silent = [socket.create_connection(where) for _ in range(40)]
+        left, speaker = socket.create_connection(where), socket.create_connection(where)
+        left.close()
+        speaker.sendall(b"GET / HT")
+        until(lambda: accepted_now(listener) is None and not select.select([listener], [], [], 0)[0])
+        speaker.sendall(b"TP/1.1\r\n\r\n")
+        accepted, address = until(lambda: accepted_now(listener))
+        assert address == speaker.getsockname()
+        assert accepted.recv(99) == b"GET / HTTP/1.1\r\n\r\n"
+        # what is readable is what the loop must look at, and nothing else
+        assert accepted_now(listener) is None
+        assert select.select([listener], [], [], 0)[0] == []
+        # the oldest silent ones made room
+        assert until(lambda: sum(gone(one) for one in silent) >= 25)
+        late = [one for one in silent if not gone(one)]
+        late[-1].sendall(b"a" * 20_000)
+        assert select.select([listener], [], [], 10)[0] == [listener]
+        second, _ = until(lambda: accepted_now(listener))
+        for one in (accepted, second, speaker, *silent):
+            one.close()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from socket import create_connection
 
 import httpx
 import pytest
@@ -120,6 +121,37 @@ def test_a_client_that_only_makes_mistakes_is_sent_away(address: str, follower: 
     assert end.value.rcvd is not None
     assert end.value.rcvd.code == 1008
     unharmed(follower)
+
+
+def test_what_clients_do_wrong_is_not_logged(
+    capfd: pytest.CaptureFixture[str], address: str, follower: Follower, http: httpx.Client
+) -> None:
+    host, port = address.split(":")
+    follower.add(BLOB)
+    # a text frame that is not UTF-8; frames that break the rules; a handshake that is none
+    for frame, opcode, code in ((b"\xff\xfe", 0x81, 1007), (b"ab", 0x83, 1002), (b"ab", 0xF1, 1002)):
+        socket = live(address)
+        # masked with zeros, which changes nothing
+        socket.socket.sendall(bytes([opcode, 0x80 | len(frame), 0, 0, 0, 0]) + frame)
+        with pytest.raises(ConnectionClosed) as end:
+            while True:
+                socket.recv(timeout=30)
+        assert end.value.rcvd is None or end.value.rcvd.code == code
+        socket.close()
+    for request in (
+        b"\x00\xff\r\n\r\n",
+        b"GET / HTTP/9.9\r\n\r\n",
+        b"GET /api/live HTTP/1.1\r\nUpgrade: websocket\r\n\r\n",
+    ):
+        with create_connection((host, int(port)), timeout=30) as raw:
+            raw.sendall(request)
+            raw.recv(4096)
+    with pytest.raises(InvalidStatus):
+        live(address, origin="http://elsewhere.example")
+    assert http.get("/api/state").status_code == 200
+    unharmed(follower)
+    out, err = capfd.readouterr()
+    assert (out, err) == ("", "")
 
 
 @pytest.mark.parametrize("size", [5_000, 100_000])

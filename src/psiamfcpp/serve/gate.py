@@ -9,9 +9,11 @@ from __future__ import annotations
 import contextlib
 import errno
 import os
+import select
 import socket
 import time
-from collections import Counter
+import weakref
+from collections import Counter, deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -24,6 +26,11 @@ _SHARE = 0.5
 # Connections that the system completes before they are accepted. In a flood the operator's waits among them: with a
 # short queue its first packet would be dropped, and sent again after a second.
 _WAITING = 1024
+# Connections that are looked at in a row, before the server's loop goes on.
+_LOOKED_AT = 32
+# What ends the head of a request; one that is longer is for the server to refuse.
+_HEAD_ENDS = (b"\n\r\n", b"\n\n")
+_LONGEST_HEAD = 16 * 1024
 # When there are too many, this share of them is closed at once, so that the search for them is rare.
 _CLOSED_AT_ONCE = 0.125
 
@@ -36,6 +43,8 @@ class _Visitor:
     address: str
     since: float
     """when it came, or when its last request was answered"""
+    handed: bool = False
+    """the server's loop watches it; else it waits in the listener"""
     serving: int = 0
     """requests of it that are being answered"""
     proven: bool = False
@@ -69,6 +78,11 @@ class Gate:
             return False
         self._visitors[client] = _Visitor(connection, str(client[0]), self._clock())
         return True
+
+    def hand(self, client: Client) -> None:
+        """Note that a connection is the server's from now on."""
+        if client in self._visitors:
+            self._visitors[client].handed = True
 
     @contextmanager
     def serving(self, client: Client) -> Iterator[None]:
@@ -112,9 +126,16 @@ class Gate:
         return bool(going)
 
     def _close(self, client: Client) -> None:
-        # not `close`, since the server's loop still watches it, and closes it once it reads the end
+        visitor = self._visitors.pop(client)
         with contextlib.suppress(OSError):
-            self._visitors.pop(client).connection.shutdown(socket.SHUT_RDWR)
+            if visitor.handed:
+                # not `close`, since the server's loop watches it, and closes it once it reads the end
+                visitor.connection.shutdown(socket.SHUT_RDWR)
+            else:
+                with contextlib.suppress(BlockingIOError):
+                    # what is unread would make the system reset the connection
+                    visitor.connection.recv(_LONGEST_HEAD)
+                visitor.connection.close()
 
     def _forget_closed(self) -> None:
         self._visitors = {
@@ -123,22 +144,104 @@ class Gate:
 
 
 class Listener(socket.socket):
-    """A listening socket that accepts what its gate admits, and never fails for want of files."""
+    """A listening socket whose connections wait until they have sent the head of a request, and then are accepted.
+
+    A connection that says nothing costs a twentieth of one that the server's loop has taken over. So the socket that
+    the loop watches (`fileno`) is a set of all those that wait (epoll), where the system has such; elsewhere
+    connections are accepted at once. Which may wait is for the gate to say; a lack of files is no failure.
+    """
 
     gate: Gate | None = None
     _spare = -1
+    _poll: Any = None
 
     def listen(self, backlog: int = 0, /) -> None:
         """Listen with a queue that bears a flood, whatever the server asks for."""
         self._spare = os.open(os.devnull, os.O_RDONLY)
+        self._waiting: dict[int, tuple[socket.socket, Any]] = {}
+        self._ready: deque[tuple[socket.socket, Any]] = deque()
+        # those that have sent a part of a head
+        self._begun: weakref.WeakSet[socket.socket] = weakref.WeakSet()
         super().listen(_WAITING)
+        if hasattr(select, "epoll"):
+            self._poll = select.epoll()
+            self._poll.register(super().fileno(), select.EPOLLIN)
+
+    def fileno(self) -> int:
+        """What becomes readable when `accept` has something to give."""
+        return super().fileno() if self._poll is None else int(self._poll.fileno())
 
     def accept(self) -> tuple[socket.socket, Any]:
-        """Accept a connection.
+        """Accept a connection that has sent the head of a request.
 
         Raises:
-            ConnectionAbortedError: it was closed at once, which servers bear.
+            BlockingIOError: there is none now.
         """
+        if self._poll is None:
+            return self._take()
+        if not self._ready:
+            self._look()
+        while self._ready:
+            connection, address = self._ready.popleft()
+            if connection.fileno() >= 0:  # else the gate closed it meanwhile
+                self._poll.unregister(connection.fileno())
+                self._waiting.pop(connection.fileno(), None)
+                if self.gate is not None:
+                    self.gate.hand(address[:2])
+                return connection, address
+        raise BlockingIOError("nobody has said anything")
+
+    def close(self) -> None:
+        """Stop listening, and close what waits."""
+        if self._spare >= 0:
+            os.close(self._spare)
+            self._spare = -1
+            for connection, _ in self._waiting.values():
+                connection.close()
+        if self._poll is not None:
+            self._poll.close()
+            self._poll = None
+        super().close()
+
+    def _look(self) -> None:
+        """Collect those that have sent what is needed, then let newcomers wait."""
+        found = [number for number, _ in self._poll.poll(0, _LOOKED_AT)]
+        for number in found:
+            if number in self._waiting:
+                self._consider(number)
+        if super().fileno() in found:
+            for _ in range(_LOOKED_AT):
+                try:
+                    connection, address = self._take()
+                except ConnectionAbortedError:
+                    continue
+                except OSError:
+                    break
+                connection.setblocking(False)
+                self._waiting[connection.fileno()] = (connection, address)
+                self._poll.register(connection.fileno(), select.EPOLLIN)
+
+    def _consider(self, number: int) -> None:
+        """Accept, keep or drop a connection of which there is news."""
+        connection, address = self._waiting[number]
+        try:
+            sent = connection.recv(_LONGEST_HEAD, socket.MSG_PEEK)
+        except OSError:
+            sent = b""
+        if not sent:  # the other end has left
+            del self._waiting[number]
+            connection.close()
+        elif len(sent) == _LONGEST_HEAD or any(end in sent for end in _HEAD_ENDS):
+            # until it is accepted, it stays news
+            self._poll.modify(number, select.EPOLLIN)
+            self._ready.append((connection, address))
+        elif connection not in self._begun:
+            # what is there already is no news any more; the next byte is
+            self._poll.modify(number, select.EPOLLIN | select.EPOLLET)
+            self._begun.add(connection)
+
+    def _take(self) -> tuple[socket.socket, Any]:
+        """The next connection that the gate admits; ConnectionAbortedError for one that was closed at once."""
         try:
             connection, address = super().accept()
         except OSError as error:
@@ -149,14 +252,9 @@ class Listener(socket.socket):
         if self.gate is not None and not self.gate.admit(connection, address[:2]):
             connection.close()
             raise ConnectionAbortedError("there are too many")
+        if self.gate is not None and self._poll is None:
+            self.gate.hand(address[:2])
         return connection, address
-
-    def close(self) -> None:
-        """Stop listening."""
-        if self._spare >= 0:
-            os.close(self._spare)
-            self._spare = -1
-        super().close()
 
     def _turn_away(self) -> None:
         """Take the next connection with the file that is kept for this, and close it: unheard, it would wait on."""

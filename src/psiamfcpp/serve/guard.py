@@ -36,10 +36,16 @@ def check_address(host: str, token: str | None) -> None:
     """Refuse to listen where others could command without a token.
 
     Raises:
-        UserError: another address than this machine's own, and no token; or a token that can be guessed.
+        UserError: another address than this machine's own, and no token; or a token that can be guessed, or that
+            headers cannot carry as it is.
     """
-    if token is not None and len(token) < SHORTEST_TOKEN:
-        raise UserError(f"the token has {len(token)} characters: give at least {SHORTEST_TOKEN}")
+    if token is not None:
+        # Other letters are sent in several ways, and blanks at the ends are lost.
+        if not (token.isascii() and token.isprintable()) or token != token.strip():
+            raise UserError("the token holds what cannot be sent: give visible ASCII characters, no blank at its ends")
+        visible = len(token.replace(" ", ""))
+        if visible < SHORTEST_TOKEN:
+            raise UserError(f"the token has {visible} characters: give at least {SHORTEST_TOKEN} besides blanks")
     if token is None and not is_loopback(host):
         raise UserError(f"--host {host} can be reached by others: give a --token that they must know")
 

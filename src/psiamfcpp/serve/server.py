@@ -83,13 +83,14 @@ def make_server(app: Guard, ready: Callable[[], None] = lambda: None) -> uvicorn
         timeout_notify=1,
         timeout_graceful_shutdown=2,
     )
-    # uvicorn takes a WebSocket that was refused for a fault, and would fill the log for whoever knocks
-    logging.getLogger("uvicorn.error").addFilter(_not_refusal)
+    # What clients do wrong is no fault of the server, and would fill the log for whoever knocks.
+    logging.getLogger("uvicorn.error").addFilter(_own_fault)
     return _Server(config, ready)
 
 
-def _not_refusal(record: logging.LogRecord) -> bool:
-    return "without completing handshake" not in str(record.msg)
+def _own_fault(record: logging.LogRecord) -> bool:
+    """Whether a line of uvicorn's log tells of a fault of ours: in the application, or in starting and ending it."""
+    return str(record.msg).startswith(("Exception in ASGI", "Exception in 'lifespan'", "Application "))
 
 
 def run(server: uvicorn.Server, listener: Listener, follower: Follower) -> None:
