@@ -275,7 +275,7 @@ class TensorList(list):
         "pytracking/parameter/segm/default_params.py": """
 from types import SimpleNamespace as Params
 def parameters():
-    return Params(debug=1, visualization=True, use_gpu=True, features_filter=Params(features=[Params(use_gpu=True)]))
+    return Params(debug=1, visualization=True, use_gpu=True)
 """,
         "pytracking/tracker/segm/segm.py": """
 import matplotlib
@@ -289,7 +289,7 @@ def pad(image, sizes):
 matplotlib.use("TkAgg")
 class Segm:
     def __init__(self, params):
-        assert not params.use_gpu and not params.features_filter.features[0].use_gpu and not params.debug
+        assert params.use_gpu and params.device == "cpu" and not params.debug
         standin.check_weights(params.segm_net_path)
         resnet.resnet50(output_layers=["layer3"], pretrained=True)
         assert pad(None, [1.0, 2.0]) == [1, 2]

@@ -67,9 +67,8 @@ def build(setup: Setup) -> Any:
     def make() -> Any:
         params = default_params.parameters()
         params.debug, params.visualization = 0, False
-        params.use_gpu = setup.device == "cuda"
-        for feature in params.features_filter.features:
-            feature.use_gpu = params.use_gpu
+        # without use_gpu the published code lacks a variable; without a GPU its .cuda() stays on the CPU
+        params.use_gpu, params.device = True, setup.device
         params.segm_net_path = setup.weights
         return segm.Segm(params)
 
@@ -109,7 +108,8 @@ def _replace_downloads(resnet: Any, setup: Setup) -> None:
 def _random_network(*args: Any, **kwargs: Any) -> Any:
     from ltr.models.segm.segm import segm_resnet50
 
-    return segm_resnet50(backbone_pretrained=False), None
+    # ltr/train_settings/segm/segm_default.py: with a distance map there is one channel more
+    return segm_resnet50(backbone_pretrained=False, topk_pos=3, topk_neg=3, mixer_channels=3), None
 
 
 if __name__ == "__main__":
