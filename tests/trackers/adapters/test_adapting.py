@@ -80,3 +80,13 @@ def test_seeds_repeat_what_is_drawn(adapting: ModuleType, monkeypatch: pytest.Mo
         adapting.seed_everything(threads=1)
         drawn.append(np.random.rand())
     assert drawn[0] == drawn[1]
+
+
+def test_transforms_that_torch_dropped_are_inverse(adapting: ModuleType) -> None:
+    torch = pytest.importorskip("torch")
+    signal = torch.rand(2, 1, 5, 6)
+    spectrum = adapting._rfft(signal, 2)
+    # the last dimension holds real and imaginary parts, the one before it the half of the frequencies
+    assert spectrum.shape == (2, 1, 5, 4, 2)
+    assert torch.allclose(spectrum[..., 0, 0, 0], signal.sum(dim=(-2, -1)))
+    assert torch.allclose(adapting._irfft(spectrum, 2, signal_sizes=(5, 6)), signal, atol=1e-6)

@@ -53,6 +53,7 @@ def adapt_torch(device: str) -> None:
     * Weights files are pickles of the authors; since torch 2.6 `torch.load` refuses them by itself.
     * ``torchvision.models.resnet.model_urls`` is gone since torchvision 0.13; only pre-training used it.
     * ``torch._six`` is gone since torch 1.13.
+    * ``torch.rfft`` and ``torch.irfft`` are gone since torch 1.8.
     * Nothing is fetched: weights come from the user's file.
     * Without a GPU, ``.cuda()`` and ``.to("cuda")`` stay on the CPU.
     """
@@ -84,8 +85,24 @@ def adapt_torch(device: str) -> None:
         six = types.ModuleType("torch._six")
         six.container_abcs, six.string_classes, six.int_classes = collections.abc, (str, bytes), int
         sys.modules["torch._six"] = six
+    if not hasattr(torch, "rfft"):
+        torch.rfft, torch.irfft = _rfft, _irfft
     if device == "cpu":
         _stay_on_cpu(torch)
+
+
+def _rfft(signal: Any, dimensions: int) -> Any:
+    import torch
+
+    return torch.view_as_real(torch.fft.rfftn(signal, dim=list(range(-dimensions, 0))))
+
+
+def _irfft(spectrum: Any, dimensions: int, signal_sizes: Any = None) -> Any:
+    import torch
+
+    sizes = None if signal_sizes is None else [int(size) for size in signal_sizes]
+    values = torch.view_as_complex(spectrum.contiguous())
+    return torch.fft.irfftn(values, s=sizes, dim=list(range(-dimensions, 0)))
 
 
 def _stay_on_cpu(torch: Any) -> None:
