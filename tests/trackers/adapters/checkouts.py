@@ -48,7 +48,8 @@ no_grad = contextlib.nullcontext
 """,
     "torch/cuda.py": "",
     "torch/hub.py": "",
-    "torch/nn.py": """
+    "torch/nn/functional.py": "def pad(image, sizes): return sizes\n",
+    "torch/nn/__init__.py": """
 class Module:
     def cuda(self):
         raise AssertionError("there is no GPU")
@@ -265,21 +266,34 @@ def resnet50(output_layers, pretrained):
     assert not pretrained
     return Net()
 """,
+        "pytracking/__init__.py": """
+class TensorList(list):
+    def __getattr__(self, name):
+        return name
+""",
+        "pytracking/features/extractor.py": "class MultiResolutionExtractor: pass\n",
         "pytracking/parameter/segm/default_params.py": """
 from types import SimpleNamespace as Params
 def parameters():
-    return Params(debug=1, visualization=True, use_gpu=True, features_filter=Params(features=[Params(use_gpu=True)]))
+    return Params(debug=1, visualization=True, use_gpu=True)
 """,
         "pytracking/tracker/segm/segm.py": """
 import matplotlib
 import standin
 import ltr.models.backbone.resnet as resnet
+from pytracking import TensorList
+from torch import nn
+def pad(image, sizes):
+    import torch.nn.functional as functional
+    return functional.pad(image, sizes)
 matplotlib.use("TkAgg")
 class Segm:
     def __init__(self, params):
-        assert not params.use_gpu and not params.features_filter.features[0].use_gpu and not params.debug
+        assert params.use_gpu and params.device == "cpu" and not params.debug
         standin.check_weights(params.segm_net_path)
         resnet.resnet50(output_layers=["layer3"], pretrained=True)
+        assert pad(None, [1.0, 2.0]) == [1, 2]
+        assert not hasattr(TensorList(), "__torch_function__") and TensorList().apply == "apply"
     def initialize(self, image, state):
         assert isinstance(state, list)
         standin.check(image, state, 0, 1)

@@ -10,7 +10,6 @@ from hypothesis import strategies as st
 from psiamfcpp.trackers.adapters.trax_worker import (
     Message,
     ProtocolError,
-    box_and_score,
     join_message,
     read_memory_image,
     read_region,
@@ -119,24 +118,3 @@ def test_memory_images() -> None:
 def test_memory_images_that_are_none(text: str) -> None:
     with pytest.raises(ProtocolError):
         read_memory_image(text)
-
-
-@pytest.mark.parametrize(
-    ("answer", "score"),
-    [
-        ([1, 2, 3, 4], None),
-        (np.arange(1, 5), None),
-        ((1, 2, 3, 4), None),
-        (([1, 2, 3, 4], 0.5), 0.5),
-        ([[1, 2, 3, 4]], None),
-    ],
-)
-def test_what_a_tracker_may_return(answer: object, score: float | None) -> None:
-    box, found = box_and_score(answer)
-    assert box.tolist() == [1, 2, 3, 4] and found == score
-
-
-@pytest.mark.parametrize("answer", [None, [], [1, 2, 3], "box", {"bbox": [1, 2, 3, 4]}, (None, 0.5), [1, 2, np.nan, 4]])
-def test_what_a_tracker_may_not_return(answer: object) -> None:
-    with pytest.raises(ValueError, match="update"):
-        box_and_score(answer)

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import gc
 import os
 import shlex
 import signal
@@ -288,6 +289,16 @@ def test_name_and_identity_do_not_know_the_folder(tmp_path: Path) -> None:
     assert first.identity == second.identity
     assert first.identity != third.identity
     assert first.name == "tracker"
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
+def test_a_tracker_that_nobody_closed_ends_its_worker() -> None:
+    tracker = open_trax(command("good", "4", "memory;forgotten;"))
+    tracker.init(FRAME, BOX)
+    assert any("forgotten" in line for line in descendants())
+    del tracker
+    gc.collect()
+    assert eventually(lambda: not any("forgotten" in line for line in descendants()))
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")

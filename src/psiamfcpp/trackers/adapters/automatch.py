@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any, List
 
 import numpy as np
-from trax_worker import Setup, main
+from adapting import Setup, leave_out, main
 
 FACTS = {
     "name": "AutoMatch",
@@ -13,7 +13,7 @@ FACTS = {
     "commit": "3a6af0d17dd80a8d130d1c3f51cf496a89441694",
     "licence": "none stated",
     "weights": "AutoMatch.pth of the repository's model zoo",
-    "modules": ["torch", "torchvision", "cv2", "yaml", "easydict", "shapely", "loguru", "wandb"],
+    "modules": ["torch", "torchvision", "cv2", "yaml", "easydict", "shapely", "loguru"],
     # tracking/test_sot.py hands on what OpenCV reads; cxy_wh_2_rect says 0-index
     "colour": "bgr",
     "origin": 0,
@@ -44,6 +44,8 @@ class _Tracker:
 def build(setup: Setup) -> Any:
     """Return the tracker of tracking/test_sot.py."""
     sys.path.insert(0, str(Path(setup.checkout) / "lib"))
+    # of training
+    leave_out("wandb")
     import utils.model_helper as loader
     import utils.read_file as reader
     import utils.sot_builder as builder

@@ -2,8 +2,9 @@
 
 from typing import Any
 
+import correlation
+from adapting import Setup, main
 from pytracking_family import build_pytracking
-from trax_worker import Setup, main
 
 FACTS = {
     "name": "KYS",
@@ -11,7 +12,7 @@ FACTS = {
     "commit": "7eb9e74bd3d40e29dbcec444902237da13de247b",
     "licence": "GPL-3.0",
     "weights": "kys.pth of the repository's model zoo",
-    "modules": ["torch", "torchvision", "cv2", "matplotlib", "spatial_correlation_sampler"],
+    "modules": ["torch", "torchvision", "cv2", "matplotlib"],
     # pytracking/evaluation/tracker.py reads RGB and passes 0-based boxes
     "colour": "rgb",
     "origin": 0,
@@ -23,6 +24,7 @@ FACTS = {
 
 def build(setup: Setup) -> Any:
     """Return what makes the tracker with the published parameters."""
+    correlation.offer()
     return build_pytracking(setup, "kys", "kys.default", _random_network)
 
 

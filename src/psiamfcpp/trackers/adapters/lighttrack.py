@@ -4,7 +4,7 @@ import argparse
 from typing import Any, List
 
 import numpy as np
-from trax_worker import Setup, main
+from adapting import Setup, main
 
 FACTS = {
     "name": "LightTrack",

@@ -2,8 +2,8 @@
 
 from typing import Any
 
+from adapting import Setup, main
 from pytracking_family import build_pytracking
-from trax_worker import Setup, main
 
 FACTS = {
     "name": "PrDiMP18",

@@ -1,32 +1,16 @@
 """What the trackers built on PyTracking (github.com/visionml/pytracking) have in common."""
 
 import importlib
-import importlib.util
-import sys
-import types
 from typing import Any, Callable
 
 import precise_roi
-from trax_worker import PytrackingStyle, Setup
+from adapting import PytrackingStyle, Setup, leave_out
 
-# Modules of the checkout that its packages import by themselves: they run benchmarks and cameras, and need much else.
-_LEFT_OUT = ("pytracking.run_tracker", "pytracking.run_webcam", "pytracking.evaluation.tracker")
-# Packages that other trackers and datasets of the checkout need, by the names under which they are imported.
-_UNUSED = ("jpeg4py", "timm", "timm.models", "timm.models.layers")
-
-
-class _Absent(types.ModuleType):
-    """A module in which every name is a class that nothing is made of."""
-
-    def __init__(self, name: str) -> None:
-        super().__init__(name)
-        # a package, so that modules inside of it may be named
-        self.__path__ = []
-
-    def __getattr__(self, name: str) -> Any:
-        if name.startswith("__"):
-            raise AttributeError(name)
-        return object
+# They run benchmarks and cameras, read datasets, and belong to other trackers of the checkout.
+_LEFT_OUT = (
+    "pytracking.run_tracker", "pytracking.run_webcam", "pytracking.evaluation.tracker", "jpeg4py", "pandas", "timm",
+    "timm.models", "timm.models.layers",
+)  # fmt: skip
 
 
 def build_pytracking(setup: Setup, tracker: str, parameters: str, random_network: Callable[[], Any]) -> Any:
@@ -38,9 +22,7 @@ def build_pytracking(setup: Setup, tracker: str, parameters: str, random_network
         parameters: module of ``pytracking.parameter``.
         random_network: makes a network with random weights, for a setup without a weights file.
     """
-    unused = [name for name in _UNUSED if importlib.util.find_spec(name.split(".")[0]) is None]
-    for name in (*_LEFT_OUT, *unused):
-        sys.modules[name] = _Absent(name)
+    leave_out(*_LEFT_OUT)
     precise_roi.offer("ltr.external.PreciseRoIPooling.pytorch.prroi_pool", setup.device)
     params = importlib.import_module("pytracking.parameter." + parameters).parameters()
     make = importlib.import_module("pytracking.tracker." + tracker).get_tracker_class()

@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from trax_worker import PysotStyle, Setup, main
+from adapting import PysotStyle, Setup, main
 
 FACTS = {
     "name": "SiamGAT",

@@ -3,7 +3,7 @@
 from typing import Any, List
 
 import numpy as np
-from trax_worker import Setup, main
+from adapting import Setup, main
 
 FACTS = {
     "name": "SiamR-CNN",

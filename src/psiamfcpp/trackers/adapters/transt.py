@@ -3,7 +3,7 @@
 import argparse
 from typing import Any
 
-from trax_worker import PytrackingStyle, Setup, main
+from adapting import PytrackingStyle, Setup, main
 
 FACTS = {
     "name": "TransT",

@@ -63,7 +63,7 @@ def open_adapter(name: str, options: Mapping[str, str], threads: int | None = No
         "commit": facts["commit"],
         "device": device,
         "options": {key: Path(value).name if Path(value).is_file() else value for key, value in sorted(own.items())},
-        "checksum": _checksum([script, _FOLDER / "trax_worker.py", *files]),
+        "checksum": _checksum([script, *_helpers(), *files]),
     }
     return TraxTracker(
         command,
@@ -166,6 +166,11 @@ def _script(name: str) -> Path:
     if name not in adapters():
         _unknown(name)
     return _FOLDER / f"{name}.py"
+
+
+def _helpers() -> list[Path]:
+    """Return what the adapters share, which decides their boxes as well."""
+    return [path for path in sorted(_FOLDER.glob("*.py")) if path.stem not in adapters()]
 
 
 def _unknown(name: str) -> Any:

@@ -38,6 +38,7 @@ class Worker:
     """
 
     def __init__(self, command: list[str], label: str, environment: Mapping[str, str]):
+        self._control = -1
         self.label = label
         self.folder = Path(tempfile.mkdtemp(prefix="psiamfcpp-trax-"))
         self._said: deque[str] = deque(maxlen=_LAST_LINES)
@@ -51,6 +52,11 @@ class Worker:
                 guard + command, stdin=pipe, stdout=pipe, stderr=pipe, bufsize=0, pass_fds=(guarded,),
                 start_new_session=True, env={**os.environ, **environment},
             )  # fmt: skip
+        except OSError:
+            os.close(self._control)
+            self._control = -1
+            self.folder.rmdir()
+            raise
         finally:
             os.close(guarded)
         streams = (self._process.stdin, self._process.stdout, self._process.stderr)
@@ -60,6 +66,9 @@ class Worker:
         self._poll = select.poll()
         self._poll.register(self._stdout, select.POLLIN)
         self._poll.register(self._stderr, select.POLLIN)
+
+    def __del__(self) -> None:
+        self.close()
 
     def exchange(self, lines: bytes, kind: str, seconds: float, doing: str) -> Message:
         """Send lines and return the one message of a kind that answers them.
