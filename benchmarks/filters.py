@@ -3,7 +3,8 @@
     python benchmarks/filters.py --root SEQUENCES --peers BOXES [--trackers kcf fdsst]
 
 SEQUENCES holds `<benchmark>/<sequence>/{img/*, groundtruth_rect.txt}`, BOXES
-`<benchmark>/<tracker of the authors>/<sequence>.txt`. Rates are of `update` alone, one thread, without decoding.
+`<benchmark>/<tracker of the authors>/<sequence>.txt`. Rates are of `update` alone, without decoding, per
+second of processor time of all threads, so that other programs on the machine do not count.
 """
 
 from __future__ import annotations
@@ -68,9 +69,9 @@ def follow(name: str, sequence: Sequence) -> tuple[FloatArray, float]:
         if i == 0:
             tracker.init(frame, boxes[0])
             continue
-        begin = time.perf_counter()
+        begin = time.process_time()
         boxes[i] = tracker.update(frame).box
-        seconds.append(time.perf_counter() - begin)
+        seconds.append(time.process_time() - begin)
     return boxes, 1 / float(np.mean(seconds[1:]))
 
 

@@ -123,13 +123,17 @@ class ScaleFilter:
             self._numerator += rate * (numerator - self._numerator)
             self._denominator += rate * (denominator - self._denominator)
 
-    def detect(self, sample: Float) -> int:
-        """Index of the factor that fits a windowed sample best."""
+    def response(self, sample: Float) -> Float:
+        """How well a windowed sample fits, by scale ``(scales,)``; the middle stands for no change."""
         assert self._numerator is not None and self._denominator is not None
         spectrum = scipy.fft.rfft(sample, axis=0, workers=1)
-        response = np.einsum("sv,sv->s", self._numerator, spectrum)
-        response /= self._denominator + np.float32(self.constants.scale_lambda)
-        return int(np.argmax(scipy.fft.irfft(response, n=self.constants.num_scales)))
+        scores = np.einsum("sv,sv->s", self._numerator, spectrum)
+        scores /= self._denominator + np.float32(self.constants.scale_lambda)
+        return scipy.fft.irfft(scores, n=self.constants.num_scales)
+
+    def detect(self, sample: Float) -> int:
+        """Index of the factor that fits a windowed sample best."""
+        return int(np.argmax(self.response(sample)))
 
 
 @dataclass(frozen=True)

@@ -101,8 +101,7 @@ class StapleCa:
         self._colours.update(patches[0], self._areas, c.learning_rate_pwp)
         self._scales.train(self._scales.sample(frame, self._position, self._base, self._scale))
         # The denominator is summed over the channels, its regulariser too.
-        parts = spectra.view(np.float32).reshape(*spectra.shape, 2)
-        energy = np.einsum("pcijk,pcijk->pij", parts, parts)
+        energy = (np.square(spectra.real) + np.square(spectra.imag)).sum(axis=1)
         denominator = energy[0] + np.float32(c.lambda_2) * energy[1:].sum(axis=0) + np.float32(CHANNELS * c.lambda_1)
         return spectra[0].conj() * self._label, denominator
 
