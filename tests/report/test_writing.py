@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import dataclasses
 import io
 import re
 from html.parser import HTMLParser
@@ -13,7 +14,7 @@ import pytest
 
 from psiamfcpp.errors import UserError
 from psiamfcpp.report.compare import CONVENTIONS, Comparison, collect
-from psiamfcpp.report.page import page
+from psiamfcpp.report.page import ShownStrip, data_address, page
 from psiamfcpp.report.plots import curves, png_and_svg
 from psiamfcpp.report.strips import strips
 from psiamfcpp.report.tables import attributes_csv, by_attribute, figures_csv, latex, rows, sequences_csv
@@ -33,10 +34,14 @@ class Page(HTMLParser):
         super().__init__()
         self.open: list[str] = []
         self.loads: list[str] = []
+        self.tags: set[str] = set()
+        self.handlers: list[str] = []
         self.text = ""
         self.feed(text)
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.add(tag)
+        self.handlers += [name for name, _ in attrs if name.startswith("on")]
         if tag not in ("meta", "input", "img", "link"):
             self.open.append(tag)
         self.loads += [value or "" for name, value in attrs if name == "src" or (tag == "link" and name == "href")]
@@ -146,6 +151,24 @@ def test_a_report_is_whole_and_needs_nothing_else(report: list[Path]) -> None:
     assert "url(" not in shown.read_text()
     assert OTHER in parsed.text
     assert '<meta name="viewport" content="width=device-width' in shown.read_text()
+
+
+@pytest.mark.parametrize("hostile", ['"><img src=x onerror=alert(1)>', "<script>alert(1)</script>", "{{ 7 * 7 }}"])
+def test_names_from_outside_stay_text(comparison: Comparison, hostile: str) -> None:
+    entry = dataclasses.replace(comparison.measured[0], tracker=hostile)
+    hostile_one = dataclasses.replace(
+        comparison,
+        sequences=[*comparison.sequences, hostile],
+        measured=[entry, *comparison.measured[1:]],
+        attributes={hostile: ["Car1"]},
+    )
+    strip = ShownStrip(hostile, [(hostile, "#ff0000")], [(1, data_address("jpeg", b"x"))])
+    parsed = Page(page([hostile_one], [], {}, {"dtb70": [strip]}, [hostile]))
+    assert parsed.open == []
+    assert not parsed.tags & {"script", "iframe", "object"}
+    assert parsed.handlers == []
+    assert all(address.startswith("data:image/") for address in parsed.loads)
+    assert parsed.text.count(hostile) >= 6
 
 
 def test_speeds_on_a_gpu_are_shown_where_some_were_published(comparison: Comparison) -> None:

@@ -43,6 +43,7 @@ COMMANDS = {
 
 # What only an extra installs, and which.
 _OPTIONAL = {
+    "jinja2": "report",
     "matplotlib": "report",
     "onnx": "train",
     "safetensors": "train",

@@ -41,7 +41,7 @@ def write_report(comparisons: list[Comparison], output: Path) -> list[Path]:
         "attributes.csv": tables.attributes_csv(comparisons),
     }
     svgs: dict[str, bytes] = {}
-    frames: dict[str, str] = {}
+    frames: dict[str, list[page.ShownStrip]] = {c.dataset: [] for c in comparisons}
     for kind in CONVENTIONS:
         for c in comparisons:
             files[f"table-{c.dataset}-{kind}.tex"] = tables.latex(c, kind)
@@ -57,9 +57,9 @@ def write_report(comparisons: list[Comparison], output: Path) -> list[Path]:
     for c in comparisons:
         for found in strips(c, styles):
             files[f"frames-{c.dataset}-{found.sequence}.jpg"] = _jpeg(found.joined, 92)
-            pictures = {number: _jpeg(frame, 80) for number, frame in found.frames.items()}
-            html = page.strip(found.sequence, found.trackers, styles, pictures)
-            frames[c.dataset] = frames.get(c.dataset, "") + html
+            shown_frames = [(n, page.data_address("jpeg", _jpeg(frame, 80))) for n, frame in found.frames.items()]
+            chips = [("label", "#ffffff"), *((name, styles[name][0]) for name in found.trackers)]
+            frames[c.dataset].append(page.ShownStrip(found.sequence, chips, shown_frames))
     files = {name: content for name, content in files.items() if content}
     shown = page.page(comparisons, averages, svgs, frames, files)
     for name, content in files.items():
