@@ -61,3 +61,27 @@ def test_many_states_cost_one_call_of_the_engine(blob_engine: Any, blob_frame: D
 def test_unknown_options_are_refused(blob_engine: Any) -> None:
     with pytest.raises(TypeError, match="depth"):
         Tracker(engine=blob_engine, depth=3)
+
+
+@pytest.mark.parametrize("level", [0, 90, 255])
+def test_blank_frames_are_no_evidence(blob_engine: Any, blob_frame: Draw, level: int) -> None:
+    tracker = Tracker(engine=blob_engine)
+    tracker.init(blob_frame((100, 80, 40, 30)), (100, 80, 40, 30))
+    for t in range(1, 6):
+        before = tracker.update(blob_frame((100 + 2 * t, 80, 40, 30)))
+    noise = np.random.default_rng(0).integers(-1, 2, (240, 320, 3))
+    blank = np.clip(level + noise, 0, 255).astype(np.uint8)
+    states = [tracker.update(blank).state for _ in range(60)]
+    # said at once, and the box stays where the target was seen last
+    assert states[0] != "tracking" and states[-1] == "lost"
+    assert tracker.update(blank).box == before.box
+    again = tracker.update(blob_frame((110, 80, 40, 30)))
+    assert (again.state, again.box) == ("tracking", pytest.approx((110, 80, 40, 30), abs=1.5))
+
+
+def test_the_published_procedure_takes_blank_frames_as_any_other(blob_engine: Any, blob_frame: Draw) -> None:
+    tracker = Tracker(engine=blob_engine, plain=True)
+    tracker.init(blob_frame((100, 80, 40, 30)), (100, 80, 40, 30))
+    tracker.update(np.zeros((240, 320, 3), np.uint8))
+    assert len(blob_engine.searches) == 1
+    assert tracker.update(np.zeros((240, 320, 3), np.uint8)).state == "tracking"

@@ -42,6 +42,8 @@ _SMALLEST_SIDE = 10.0
 _MEMORY_RATE, _COAST_FRAMES = 0.1, 30
 # After this many frames without the target, what is re-acquired away from its expected place may be another object.
 _UNSEEN = 3
+# A frame whose grey levels, at one pixel in 16 by 16, spread by less than this shows nothing but noise.
+_BLANK_SPREAD, _SAMPLED = 1.5, 16
 # The search region of a lost target is this much larger than that of a followed one.
 _LOST_REACH = 1.3
 
@@ -135,6 +137,9 @@ class Following:
             boxes: ``(N, N, 4)`` as x0, y0, x1, y1 in pixels of the region.
             search: the engine's search, for a second region while a re-detection is verified.
         """
+        if not self._plain and _blank(frame):
+            # No evidence: the target is where it was, and is searched for there first when the video is back.
+            return Track(self._box(), 0.0, self._states.step(0.0))
         found, apart = self.read(look.around, scores, boxes)
         if self._plain:
             rate = self._spec.constants.test_lr * found.penalty * found.score
@@ -238,6 +243,11 @@ class Following:
 
 def _lies_in(found: Target, box: Target) -> bool:
     return abs(found.cx - box.cx) < box.w / 2 and abs(found.cy - box.cy) < box.h / 2
+
+
+def _blank(frame: Image) -> bool:
+    """Tell whether a frame shows nothing: a lost video signal, a covered lens."""
+    return bool(frame[::_SAMPLED, ::_SAMPLED].std(axis=(0, 1)).max() < _BLANK_SPREAD)
 
 
 def spiral(n: int) -> tuple[int, int]:
