@@ -1,6 +1,4 @@
-"""What several test folders share: a tiny network, a rendered clip, research data if it is there, and an engine that
-sees a blob; and the rule that nothing is skipped without leave.
-"""
+"""Fixtures that several test folders share, and the hook that fails a run in which an unlisted test was skipped."""
 
 from __future__ import annotations
 
@@ -105,14 +103,15 @@ def make_network() -> Callable[..., Any]:
 
 
 @pytest.fixture(scope="session")
-def tiny_graphs(tiny_model: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def tiny_graphs(tiny_model: Path, tmp_path_factory: pytest.TempPathFactory, blob_frame: Callable[..., Image]) -> Path:
     """The graphs of `tiny_model`."""
     pytest.importorskip("onnx")
     from psiamfcpp.cli import main
 
-    folder = tmp_path_factory.mktemp("graphs") / "tiny"
-    assert main(["export", str(tiny_model), "-o", str(folder), "--pairs", "1"]) == 0
-    return folder
+    root = tmp_path_factory.mktemp("graphs")
+    write_sequence(root / "data" / "blob", [(100, 80, 40, 30)], blob_frame)
+    assert main(["export", str(tiny_model), "-o", str(root / "tiny"), "--data", f"folder:{root / 'data'}"]) == 0
+    return root / "tiny"
 
 
 @pytest.fixture(scope="session")
@@ -243,14 +242,18 @@ def blob_sequence(tmp_path: Path, blob_frame: Callable[..., Image]) -> Callable[
     """Writes ``<root>/<name>/{img/*.png, groundtruth_rect.txt}`` with a blob in the given boxes; returns the root."""
 
     def write(name: str, boxes: list[tuple[float, float, float, float]]) -> Path:
-        root = tmp_path / "sequences"
-        (root / name / "img").mkdir(parents=True)
-        for number, box in enumerate(boxes, start=1):
-            cv2.imwrite(str(root / name / "img" / f"{number:04}.png"), blob_frame(box))
-        (root / name / "groundtruth_rect.txt").write_text("".join(",".join(map(str, box)) + "\n" for box in boxes))
-        return root
+        write_sequence(tmp_path / "sequences" / name, boxes, blob_frame)
+        return tmp_path / "sequences"
 
     return write
+
+
+def write_sequence(folder: Path, boxes: list[tuple[float, float, float, float]], draw: Callable[..., Image]) -> None:
+    """Write ``{img/*.png, groundtruth_rect.txt}`` of a blob in the given boxes."""
+    (folder / "img").mkdir(parents=True)
+    for number, box in enumerate(boxes, start=1):
+        cv2.imwrite(str(folder / "img" / f"{number:04}.png"), draw(box))
+    (folder / "groundtruth_rect.txt").write_text("".join(",".join(map(str, box)) + "\n" for box in boxes))
 
 
 @pytest.fixture(scope="session")

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-TESTS = '''
+TESTS = """
 import pytest
 
 def test_passes(): pass
@@ -19,7 +19,7 @@ def test_unlucky(): pytest.xfail("known")
 def test_data(): pass
 @pytest.mark.skipif(True, reason="no browser")
 def test_page(): pass
-'''
+"""
 WHOLE_FILE = 'import pytest\npytest.importorskip("no_such_library")\n'
 
 
