@@ -1,7 +1,78 @@
+"""The package as those who install it meet it: what importing it costs, and what its types say."""
+
 from __future__ import annotations
 
+import os
+import re
+import subprocess
+import sys
 from importlib.resources import files
+from pathlib import Path
+
+import pytest
+
+import psiamfcpp
+
+SOURCE = str(Path(psiamfcpp.__file__).parents[1])
+
+# Each line marked "wrong" must be refused: where a type is lost, it is Any, nothing is refused, and mypy calls the
+# mark unused.
+SCRIPT = """
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from psiamfcpp import TargetPool, Track, Tracker, TrackerOptions, UserError, __version__, follow, open_tracker
+
+version: str = __version__
+frame: NDArray[np.uint8] = np.zeros((240, 320, 3), np.uint8)
+options = TrackerOptions(threads=1, plain=True)
+TrackerOptions(threads="one")  # type: ignore[arg-type]  # wrong
+tracker = Tracker(options=options)
+first: Track = tracker.init(frame, (100, 80, 40, 30))
+x, y, w, h = tracker.update(frame).box
+width: float = w
+tracker.update("frame")  # type: ignore[arg-type]  # wrong
+state: str = first.state  # type: ignore[assignment]  # wrong: it may be None
+pool = TargetPool(options=options)
+number, track = pool.add(frame, (100, 80, 40, 30))
+score: float | None = pool.update(frame)[number].score
+pool.add(frame, (100, 80, 40, 30)).box  # type: ignore[attr-defined]  # wrong
+other = open_tracker("dcf:kcf", options)
+other.init(frame, (100, 80, 40, 30))
+other.close("now")  # type: ignore[call-arg]  # wrong
+shots: Iterator[list[Track]] = follow("flight.mp4", [(618, 329, 53, 46)], options=options)
+try:
+    boxes = [[track.box for track in tracks] for tracks in shots]
+except UserError as error:
+    print(error)
+"""
 
 
 def test_the_package_says_that_it_is_typed():
     assert (files("psiamfcpp") / "py.typed").is_file(), "without it mypy takes every type of the package for Any"
+
+
+def test_importing_the_package_imports_nothing_heavy():
+    heavy = ("torch", "matplotlib", "scipy", "onnxruntime", "numba", "av", "tyro")
+    code = f"import sys, psiamfcpp; print([name for name in {heavy} if name in sys.modules])"
+    done = subprocess.run(
+        [sys.executable, "-c", code], env={**os.environ, "PYTHONPATH": SOURCE}, capture_output=True, text=True
+    )
+    assert (done.stdout, done.stderr) == ("[]\n", "")
+
+
+def test_the_users_script_names_every_export():
+    assert set(psiamfcpp.__all__) <= set(re.findall(r"\w+", SCRIPT))
+
+
+@pytest.mark.slow
+def test_a_users_script_passes_the_strict_type_check(tmp_path: Path):
+    (tmp_path / "script.py").write_text(SCRIPT)
+    # an empty file of settings, so that none of the machine's are taken
+    (tmp_path / "mypy.ini").write_text("[mypy]\n")
+    command = [sys.executable, "-m", "mypy", "--strict", "--follow-imports=silent", "script.py"]
+    environment = {**os.environ, "MYPYPATH": SOURCE}
+    done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (0, ""), done.stdout

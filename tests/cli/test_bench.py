@@ -49,6 +49,7 @@ def test_a_machine_whose_fixed_work_varies_is_noisy(reference: list[float], nois
     assert Bench([], reference=reference).noisy is noisy
 
 
+@pytest.mark.slow
 def test_rows_for_programs(run: Run, tiny_graphs: Path) -> None:
     ended = run("bench", "--models", tiny_graphs, "--engines", "onnx", "--rounds", 2, "--frames", 2, "--json")
     assert ended.code == 0, ended.err

@@ -3,33 +3,54 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
+from importlib import metadata
 from pathlib import Path
 
 import pytest
+from packaging.requirements import Requirement
 
-_NAMES = ("torch", "safetensors", "matplotlib", "onnx", "openvino", "av", "scipy")
-# A finder before all others, so that these fail as if not installed; None in sys.modules would fool libraries that
-# ask there whether torch is in use.
-_WITHOUT = f"""
-import sys
-class Missing:
-    def find_spec(self, name, path=None, target=None):
-        if name.partition(".")[0] in {_NAMES}:
-            raise ModuleNotFoundError(f"No module named {{name!r}}", name=name)
-sys.meta_path.insert(0, Missing())
-"""
+import psiamfcpp
 
 
-def _python(code: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run([sys.executable, "-c", _WITHOUT + code], capture_output=True, text=True, check=False)
+@pytest.fixture(scope="session")
+def core(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder of libraries that holds what the core requires, what that requires, and nothing else."""
+    folder = tmp_path_factory.mktemp("core")
+    wanted, known = ["psiamfcpp"], {"psiamfcpp"}
+    while wanted:
+        distribution = metadata.distribution(wanted.pop())
+        for requirement in map(Requirement, distribution.requires or ()):
+            name = requirement.name.lower().replace("_", "-")
+            if (not requirement.marker or requirement.marker.evaluate({"extra": ""})) and name not in known:
+                known.add(name)
+                wanted.append(name)
+        if distribution.metadata["Name"] != "psiamfcpp":
+            for top in {
+                file.parts[0] for file in distribution.files or () if file.parts[0] not in ("..", "__pycache__")
+            }:
+                (folder / top).unlink(missing_ok=True)
+                (folder / top).symlink_to(str(distribution.locate_file(top)))
+    (folder / "psiamfcpp").symlink_to(Path(psiamfcpp.__file__).parent)
+    return folder
 
 
-def test_the_library_and_every_command_without_torch_can_be_imported() -> None:
+def _python(core: Path, code: str) -> subprocess.CompletedProcess[str]:
+    """Run code where nothing but the core is installed; -S leaves out the libraries of this environment."""
+    environment = {**os.environ, "PYTHONPATH": str(core)}
+    return subprocess.run(
+        [sys.executable, "-S", "-c", code], env=environment, capture_output=True, text=True, check=False
+    )
+
+
+def test_the_library_and_every_command_without_torch_can_be_imported(core: Path) -> None:
     commands = "demo, track, serve, evaluate, score, report, datasets, info, import_, bench, export"
-    done = _python(f"import psiamfcpp; from psiamfcpp.cli import {commands}")
+    done = _python(core, f"import psiamfcpp; from psiamfcpp.cli import {commands}")
     assert (done.returncode, done.stderr) == (0, "")
+    for name in ("torch", "safetensors", "matplotlib", "onnx", "openvino", "av", "scipy"):
+        assert f"No module named '{name}'" in _python(core, f"import {name}").stderr
 
 
 @pytest.mark.parametrize(
@@ -47,8 +68,8 @@ def test_the_library_and_every_command_without_torch_can_be_imported() -> None:
     ],
     ids=lambda args: args[0],
 )
-def test_what_needs_torch_says_how_to_get_it(args: list[str]) -> None:
-    done = _python(f"from psiamfcpp.cli import main; sys.exit(main({args!r}))")
+def test_what_needs_torch_says_how_to_get_it(core: Path, args: list[str]) -> None:
+    done = _python(core, f"import sys; from psiamfcpp.cli import main; sys.exit(main({args!r}))")
     assert done.returncode == 2
     assert done.stderr.count("\n") == 1
     assert "pip install 'psiamfcpp[train]'" in done.stderr
@@ -72,9 +93,10 @@ def test_what_serving_needs_says_how_to_get_it(missing: str, args: list[str], ex
     assert f"pip install 'psiamfcpp[{extra}]'" in done.stderr
 
 
-def test_the_demo_runs_on_the_shipped_graphs(tmp_path: Path) -> None:
+@pytest.mark.slow
+def test_the_demo_runs_on_the_shipped_graphs(core: Path, tmp_path: Path) -> None:
     args = ["demo", "--frames", "4", "--threads", "1", "--json", "-o", str(tmp_path / "demo.mp4")]
-    done = _python(f"from psiamfcpp.cli import main; sys.exit(main({args!r}))")
+    done = _python(core, f"import sys; from psiamfcpp.cli import main; sys.exit(main({args!r}))")
     assert (done.returncode, done.stderr) == (0, "")
     told = json.loads(done.stdout)
     assert told["frames"] == 4

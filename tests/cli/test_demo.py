@@ -3,11 +3,25 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
+from psiamfcpp.demo.clip import DemoFrame, render
+
 from .conftest import Run, count_frames
+
+
+@pytest.fixture
+def small(rendered_clip: list[DemoFrame], monkeypatch: pytest.MonkeyPatch) -> None:
+    """The clip that is there already, in place of one that is rendered anew."""
+
+    def shown(seed: int, frames: int) -> Iterator[DemoFrame]:
+        render(seed, frames)  # which refuses numbers at once, and renders later
+        return iter(rendered_clip[:frames])
+
+    monkeypatch.setattr("psiamfcpp.cli.demo.render", shown)
 
 
 def test_demo_writes_a_video_and_says_how_well_it_went(run: Run, tmp_path: Path, tiny_model: Path) -> None:
@@ -27,7 +41,7 @@ def test_demo_writes_a_video_and_says_how_well_it_went(run: Run, tmp_path: Path,
 
 
 def test_demo_writes_to_the_working_folder_by_default(
-    run: Run, tmp_path: Path, tiny_model: Path, monkeypatch: pytest.MonkeyPatch
+    run: Run, tmp_path: Path, tiny_model: Path, small: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
     ended = run("demo", "--model", tiny_model, "--frames", 2)
@@ -49,6 +63,7 @@ def test_demo_writes_to_the_working_folder_by_default(
         (["--output", "missing/demo.mp4"], "missing/demo.mp4 cannot be written"),
     ],
 )
+@pytest.mark.usefixtures("small")
 def test_demo_refuses(
     run: Run, tmp_path: Path, tiny_model: Path, args: list[str], message: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -58,7 +73,7 @@ def test_demo_refuses(
 
 
 def test_demo_interrupted_leaves_a_valid_video(
-    run: Run, tmp_path: Path, tiny_model: Path, monkeypatch: pytest.MonkeyPatch
+    run: Run, tmp_path: Path, tiny_model: Path, small: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     from psiamfcpp import TargetPool
 

@@ -14,14 +14,18 @@ from .conftest import Run
 pytest.importorskip("onnx")
 
 
-def test_both_graphs_are_written_and_the_difference_is_said(run: Run, tiny_model: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize("own_data", [True, pytest.param(False, marks=pytest.mark.slow)])
+def test_both_graphs_are_written_and_the_difference_is_said(
+    run: Run, tiny_model: Path, tmp_path: Path, blob_sequence, own_data: bool
+) -> None:
     folder = tmp_path / "new" / "graphs"
-    ended = run("export", tiny_model, "-o", folder, "--pairs", "4")
+    data = ("--data", f"folder:{blob_sequence('alpha', [(100, 80, 40, 30), (110, 80, 40, 30)])}")
+    ended = run("export", tiny_model, "-o", folder, "--pairs", "4", *(data if own_data else ()))
     assert ended.code == 0
     assert sorted(path.name for path in folder.iterdir()) == ["search.onnx", "template.onnx"]
     assert "against torch: scores differ by up to" in ended.out
     assert list(folder.parent.iterdir()) == [folder]
-    assert run("export", tiny_model, "-o", folder, "--pairs", "4").code == 0  # again over it
+    assert run("export", tiny_model, "-o", folder, "--pairs", "4", *data).code == 0  # again over it
 
 
 def test_int8_is_judged_by_layer_on_given_data(

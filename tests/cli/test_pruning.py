@@ -42,6 +42,7 @@ def full_table(tmp_path: Path) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_rank_plan_prune_and_follow(run: Run, tiny_model: Path, clips: Path, tmp_path: Path) -> None:
     ranks, plan, pruned = tmp_path / "ranks.json", tmp_path / "plan.json", tmp_path / "pruned.safetensors"
     ended = run("rank", tiny_model, "--data", f"folder:{clips}", "-o", ranks, "--images", 6, "--batch", 4, "--json")

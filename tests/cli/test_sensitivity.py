@@ -33,6 +33,7 @@ def ranks(tmp_path: Path) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_cells_without_and_with_fine_tuning(
     run: Run, tiny_model: Path, ranks: Path, clips: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -80,6 +81,7 @@ def test_cells_without_and_with_fine_tuning(
     assert "other output folder" in run(*args, "--steps", 3).refused().replace("another", "other")
 
 
+@pytest.mark.slow
 def test_cells_are_shared_among_processes(run: Run, tiny_model: Path, ranks: Path, clips: Path, tmp_path: Path) -> None:
     args = [
         "sensitivity",

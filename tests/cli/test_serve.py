@@ -57,6 +57,7 @@ def test_a_port_that_is_taken_is_named(run: Run, tiny_model: Path, clip: Path) -
         assert f"port {port}" in run("serve", clip, "--port", port, "--model", tiny_model).refused()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("end", [signal.SIGINT, signal.SIGTERM])
 def test_a_server_lives_records_and_ends_cleanly(tiny_model: Path, clip: Path, tmp_path: Path, end: Any) -> None:
     records = tmp_path / "records"

@@ -236,12 +236,13 @@ def test_an_interruption_keeps_what_was_done(
     assert names(outputs) == ["b.txt", "o.mp4"]
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="no such signals")
 @pytest.mark.parametrize("kind", ["SIGTERM", "SIGINT", "SIGHUP"])
 def test_a_signal_leaves_files_that_are_whole(tmp_path: Path, outputs: Path, kind: str) -> None:
     clip = tmp_path / "long.mp4"
     with VideoWriter(clip, 25, (64, 48)) as writer:
-        for number in range(3000):
+        for number in range(1500):
             writer.write(np.full((48, 64, 3), number % 200, np.uint8))
     command = [sys.executable, "-m", "psiamfcpp", "track", str(clip), "--box", "20,20,16,12", "--threads", "1"]
     command += ["--model", "psiamfcpp-alexnet-n-int8", "-o", str(outputs / "o.mp4"), "--boxes", str(outputs / "b.txt")]

@@ -15,11 +15,11 @@ SMALL = (640, 360)
 
 @pytest.fixture(scope="module")
 def clip() -> list[DemoFrame]:
-    return list(render(seed=3, size=SMALL))
+    return list(render(seed=3, frames=100, size=SMALL))
 
 
 def test_the_clip_has_the_frames_asked_for(clip: list[DemoFrame]) -> None:
-    assert len(clip) == 300
+    assert len(clip) == 100
     assert all(f.image.shape == (360, 640, 3) and f.image.dtype == np.uint8 for f in clip)
 
 
@@ -31,7 +31,7 @@ def test_the_box_stays_inside_the_frame(clip: list[DemoFrame]) -> None:
 
 def test_the_target_is_hidden_once(clip: list[DemoFrame]) -> None:
     visible = np.array([f.visible for f in clip])
-    assert 15 <= (~visible).sum() <= 25
+    assert 5 <= (~visible).sum() <= 9
     assert np.abs(np.diff(visible.astype(int))).sum() == 2
     assert visible[0] and visible[-1]
 
@@ -39,13 +39,13 @@ def test_the_target_is_hidden_once(clip: list[DemoFrame]) -> None:
 def test_the_target_grows_and_shrinks(clip: list[DemoFrame]) -> None:
     sides = np.array([max(f.box[2:]) for f in clip])
     assert 16 < sides.min() < 20 and 30 < sides.max() < 35
-    assert sides.argmin() not in (0, 299)
+    assert sides.argmin() not in (0, 99)
 
 
 def test_the_box_moves_smoothly(clip: list[DemoFrame]) -> None:
     boxes = np.array([f.box for f in clip])
     steps = np.abs(np.diff(boxes[:, :2] + boxes[:, 2:] / 2, axis=0))
-    assert steps.max() < 6
+    assert steps.max() < 18
     assert np.ptp(boxes[:, :2], axis=0).min() > 60
 
 
@@ -77,11 +77,12 @@ def test_the_box_is_tight() -> None:
         assert np.abs(size - (w, h)).max() < 5
 
 
-def test_a_seed_gives_the_same_clip_and_another_seed_another() -> None:
+@pytest.mark.slow
+def test_a_seed_gives_the_same_clip_and_another_seed_another(rendered_clip: list[DemoFrame]) -> None:
     def start(seed: int) -> list[DemoFrame]:
-        return list(islice(render(seed, 30, (320, 180)), 3))
+        return list(islice(render(seed, 20, (320, 192)), 3))
 
-    one, same, other = start(1), start(1), start(2)
+    one, same, other = rendered_clip[:3], start(3), start(2)
     for a, b in zip(one, same, strict=True):
         assert a.image.tobytes() == b.image.tobytes()
         assert (a.box, a.visible) == (b.box, b.visible)

@@ -102,6 +102,7 @@ def test_a_killed_run_goes_on_where_it_was(root: Path, module: str, tmp_path: Pa
     assert results(folder).keys() == {*NAMES}
 
 
+@pytest.mark.slow
 def test_a_killed_run_leaves_no_worker_behind(root: Path, module: str, tmp_path: Path) -> None:
     command = ["evaluate", "--root", str(root), "--tracker", f"{module}:Known", "--results", str(tmp_path / "r")]
     process = subprocess.Popen(
@@ -185,6 +186,7 @@ def test_a_worker_that_is_killed_is_said(root: Path, module: str, tmp_path: Path
     assert results(tmp_path / "r" / "folder" / "Deadly") == {}
 
 
+@pytest.mark.slow
 def test_a_dask_cluster_of_two_workers(root: Path, module: str, tmp_path: Path) -> None:
     distributed = pytest.importorskip("distributed", reason="dask[distributed] is not installed")
     sequences, choices = datasets.read("folder", root), [choose(f"{module}:Slow"), choose(f"{module}:Other")]

@@ -12,7 +12,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from psiamfcpp import Tracker
-from psiamfcpp.demo.clip import render
+from psiamfcpp.demo.clip import DemoFrame, render
 from psiamfcpp.geometry import Image
 from psiamfcpp.video.source import open_source
 from psiamfcpp.video.writer import VideoWriter
@@ -24,9 +24,9 @@ WITHOUT = "sys.modules.update(dict.fromkeys(('psiamfcpp', 'torch', 'onnx', 'rich
 
 
 @pytest.fixture
-def ride(tmp_path: Path) -> Iterator[tuple[Path, tuple[float, ...], list[Image]]]:
+def ride(tmp_path: Path, rendered_clip: list[DemoFrame]) -> Iterator[tuple[Path, tuple[float, ...], list[Image]]]:
     path = tmp_path / "ride.mp4"
-    shots = list(render(1, 12, (320, 192)))
+    shots = rendered_clip[:12]
     with VideoWriter(path, 25, (320, 192)) as writer:
         for shot in shots:
             writer.write(shot.image)

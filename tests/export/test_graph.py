@@ -5,10 +5,13 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable
 
+import cv2
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
+from psiamfcpp.datasets import Sequence
+from psiamfcpp.demo.clip import DemoFrame
 from psiamfcpp.export.crops import Pair, rendered, sample
 from psiamfcpp.export.graph import Ranges, search_graph, template_graph
 from psiamfcpp.export.layers import divided, layers
@@ -29,8 +32,12 @@ def network(make_network: Callable[..., SiamFCpp]) -> SiamFCpp:
 
 
 @pytest.fixture(scope="module")
-def pairs(network: SiamFCpp) -> list[Pair]:
-    return rendered(network.spec, 3)
+def pairs(network: SiamFCpp, rendered_clip: list[DemoFrame], tmp_path_factory: pytest.TempPathFactory) -> list[Pair]:
+    folder = tmp_path_factory.mktemp("clip")
+    for number, shot in enumerate(rendered_clip):
+        cv2.imwrite(str(folder / f"{number:02}.png"), shot.image)
+    boxes = np.array([shot.box for shot in rendered_clip])
+    return sample([Sequence("clip", sorted(folder.iterdir()), boxes)], network.spec, 3)
 
 
 @pytest.fixture(scope="module")
@@ -200,6 +207,14 @@ def test_samples_are_the_same_each_time_and_come_from_every_source(blob_sequence
     assert [p.template.shape for p in first] == [(127, 127, 3)] * 4
     # the target is in the middle of every template and somewhere in every search crop
     assert all(p.template[63, 63].min() > 200 and p.search.max() > 200 for p in first)
+
+
+def test_without_data_targets_of_rendered_clips_are_shown() -> None:
+    (pair,) = rendered(ModelSpec(search_size=191), 1)
+    assert (pair.template.shape, pair.search.shape) == ((127, 127, 3), (191, 191, 3))
+    # the car in the middle of the template has more colour than the ground at its rim
+    colour = np.ptp(pair.template.astype(int), axis=2)
+    assert colour[54:73, 54:73].mean() > 2 * np.median(colour)
 
 
 @pytest.mark.filterwarnings("error")

@@ -6,8 +6,10 @@ from pathlib import Path
 from typing import Any
 
 import cv2
+import pytest
 
 
+@pytest.mark.slow
 def test_the_report_is_readable_on_a_desk_and_on_a_phone(browser: Any, report: list[Path], tmp_path: Path) -> None:
     for width, height in ((1280, 900), (390, 844)):
         page = browser.new_page(viewport={"width": width, "height": height})

@@ -14,7 +14,7 @@ import torch
 from numpy.testing import assert_allclose
 
 from psiamfcpp import Tracker, UserError, zoo
-from psiamfcpp.demo.clip import render
+from psiamfcpp.demo.clip import DemoFrame
 from psiamfcpp.geometry import Image
 from psiamfcpp.models import load
 from psiamfcpp.runtime import ENGINES, Engine, open_engine
@@ -67,12 +67,13 @@ def test_an_engine_is_the_network(
     assert_allclose(boxes, expected_boxes[0], rtol=1e-3, atol=1e-3)
 
 
-def test_all_engines_follow_a_clip_alike(engine: str, runnable: str, tiny_model: Path) -> None:
+def test_all_engines_follow_a_clip_alike(
+    engine: str, runnable: str, tiny_model: Path, rendered_clip: list[DemoFrame]
+) -> None:
     def boxes(model: str, name: str) -> np.ndarray:
         tracker = Tracker(model, name, threads=1, plain=True)
-        shots = list(render(3, 20, (320, 192)))
-        tracker.init(shots[0].image, shots[0].box)
-        return np.array([tracker.update(shot.image).box for shot in shots[1:]])
+        tracker.init(rendered_clip[0].image, rendered_clip[0].box)
+        return np.array([tracker.update(shot.image).box for shot in rendered_clip[1:]])
 
     # the tolerance that docs/export.md states, in pixels of the frame
     assert_allclose(boxes(runnable, engine), boxes(str(tiny_model), "torch"), atol=0.1)

@@ -12,7 +12,7 @@ from numpy.testing import assert_allclose
 
 from psiamfcpp import UserError
 from psiamfcpp.crop import mean_colour, target_crop
-from psiamfcpp.demo.clip import render
+from psiamfcpp.demo.clip import DemoFrame
 from psiamfcpp.geometry import centre
 from psiamfcpp.models import load
 from psiamfcpp.models.network import ConvBlock
@@ -80,11 +80,13 @@ def test_a_gpu_computes_in_half_precision(tiny_model: Path, monkeypatch: pytest.
     assert_allclose(many[0], scores, atol=2e-3)
 
 
-def test_a_trained_model_finds_the_same_boxes_in_half_precision(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_trained_model_finds_the_same_boxes_in_half_precision(
+    rendered_clip: list[DemoFrame], monkeypatch: pytest.MonkeyPatch
+) -> None:
     full = open_engine("psiamfcpp-alexnet-s", "torch", 1, 239)
     monkeypatch.setattr(torch_engine, "torch_device", lambda device: torch.device("cpu"))
     half = open_engine("psiamfcpp-alexnet-s", "torch", 1, 239, "cuda")
-    shots = list(render(4, 2, (320, 192)))
+    shots = (rendered_clip[0], rendered_clip[2])
     z, x = (
         target_crop(shot.image, (*map(float, centre(shot.box)), *shot.box[2:]), side, 127, mean_colour(shot.image))
         for shot, side in zip(shots, (127, 239), strict=True)

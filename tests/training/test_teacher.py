@@ -147,6 +147,7 @@ def test_the_teacher_stays_as_it_is_and_out_of_the_model(taught: Any, tmp_path: 
     assert torch.load(tmp_path / "run" / "state.pt", weights_only=True)["model"].keys() == network().state_dict().keys()
 
 
+@pytest.mark.slow
 def test_a_network_comes_nearer_to_its_teacher(scenes: list[Sequence], tmp_path: Path) -> None:
     path = tmp_path / "teacher.safetensors"
     save(path, network(9))
@@ -223,6 +224,7 @@ def test_features_of_another_width_are_refused(scenes: list[Sequence], tmp_path:
         next(train(network(), scenes, [], tmp_path / "run", dataclasses.replace(options(2), teacher=taught), RUN))
 
 
+@pytest.mark.slow
 def test_a_backbone_comes_nearer_to_its_teachers_features(scenes: list[Sequence], tmp_path: Path) -> None:
     path = tmp_path / "teacher.safetensors"
     model = network()

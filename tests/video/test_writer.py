@@ -6,9 +6,10 @@ import builtins
 import os
 import subprocess
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
+from contextlib import AbstractContextManager
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -35,16 +36,21 @@ def codec(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> st
     return str(request.param)
 
 
-@contextmanager
-def disk_of(size: int) -> Iterator[None]:
-    """No file grows beyond ``size`` bytes."""
-    resource = pytest.importorskip("resource")
-    before = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
-    try:
-        yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+@pytest.fixture
+def refused_on(disk_of: Callable[[int], AbstractContextManager[None]]) -> Callable[[int, Path, str], None]:
+    """Writes 80 frames of noise to a disk of some bytes, which the writer is to complain of."""
+
+    def write(size: int, path: Path, complaint: str) -> None:
+        frames = noise(80, 320, 240)
+        with (
+            disk_of(size),
+            pytest.raises(UserError, match=f"{path} cannot be written{complaint}"),
+            VideoWriter(path, 25, (320, 240)) as writer,
+        ):
+            for frame in frames:
+                writer.write(frame)
+
+    return write
 
 
 def noise(count: int, width: int = 64, height: int = 48) -> list[Image]:
@@ -153,33 +159,20 @@ def test_a_frame_of_another_size_is_refused_and_the_rest_kept(tmp_path: Path) ->
 
 
 @pytest.mark.parametrize("suffix", [".mp4", ".avi"])
-def test_a_full_disk_is_told_and_leaves_nothing(tmp_path: Path, codec: str, suffix: str) -> None:
-    path = tmp_path / f"a{suffix}"
-    frames = noise(80, 320, 240)
-    with (
-        disk_of(200_000),
-        pytest.raises(UserError, match=f"{path} cannot be written"),
-        VideoWriter(path, 25, (320, 240)) as writer,
-    ):
-        for frame in frames:
-            writer.write(frame)
+def test_a_full_disk_is_told_and_leaves_nothing(tmp_path: Path, codec: str, suffix: str, refused_on: Any) -> None:
+    refused_on(200_000, tmp_path / f"a{suffix}", "")
     assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize("older", [False, True])
-def test_matroska_on_a_full_disk_keeps_what_was_written(tmp_path: Path, codec: str, older: bool) -> None:
+def test_matroska_on_a_full_disk_keeps_what_was_written(
+    tmp_path: Path, codec: str, older: bool, refused_on: Any
+) -> None:
     path = tmp_path / "a.mkv"
     kept = tmp_path / "a.cut.mkv" if older else path
     if older:
         path.write_text("older")
-    frames = noise(80, 320, 240)
-    with (
-        disk_of(1_000_000),
-        pytest.raises(UserError, match=f"{path} cannot be written: .*; what was written until then is in {kept}$"),
-        VideoWriter(path, 25, (320, 240)) as writer,
-    ):
-        for frame in frames:
-            writer.write(frame)
+    refused_on(1_000_000, path, f": .*; what was written until then is in {kept}$")
     assert sorted(tmp_path.iterdir()) == sorted({path, kept})
     assert not older or path.read_text() == "older"
     count = len(read(kept))
@@ -229,7 +222,7 @@ def test_boxes_are_on_disk_as_they_are_written(tmp_path: Path) -> None:
     assert path.read_text() == "1.00,2.00,4.00,40.00\n-1.50,0.00,10000.00,2.00\n"
 
 
-def test_a_full_disk_leaves_whole_lines(tmp_path: Path) -> None:
+def test_a_full_disk_leaves_whole_lines(tmp_path: Path, disk_of: Any) -> None:
     path = tmp_path / "a.txt"
     with BoxWriter(path) as writer, disk_of(50), pytest.raises(UserError, match=f"{path} cannot be written"):
         for _ in range(10):

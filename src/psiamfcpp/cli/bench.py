@@ -8,6 +8,7 @@ from typing import Any
 
 import cv2
 
+from psiamfcpp.cli.arguments import Json
 from psiamfcpp.cli.output import notes, print_json, progress
 from psiamfcpp.datasets import folder
 from psiamfcpp.demo.clip import render
@@ -33,7 +34,7 @@ def bench(
     frames: int = 30,
     sequence: Path | None = None,
     tracker: tuple[str, ...] = ("opencv:mil",),
-    json: bool = False,
+    json: Json = False,
 ) -> None:
     """Time models on engines, and peers, in turn in one process: whole updates, and where their time goes.
 
@@ -45,7 +46,6 @@ def bench(
         frames: updates a round.
         sequence: folder with img/ and groundtruth_rect.txt to follow; by default a rendered 720p clip.
         tracker: others to time beside them, as opencv:mil, opencv:nano,backbone=FILE,neckhead=FILE or dcf:kcf.
-        json: print one JSON object.
     """
     if rounds < 1 or frames < 1:
         raise UserError(f"rounds is {rounds} and frames {frames}: both must be at least 1")
@@ -55,10 +55,10 @@ def bench(
         if engine not in ENGINES:
             raise UserError(f"unknown engine {engine!r}: known are {', '.join(ENGINES)}")
     threads = threads or usable_cores()
-    shots, box = _shots(sequence, frames)
     others = [choose(entry, TrackerOptions(threads=threads)) for entry in tracker]
     candidates = list(_ours(models, engines, threads))
     candidates += [speed.Candidate(c.name, c.kind, None, c.open()) for c in others]
+    shots, box = _shots(sequence, frames)
     cv2.setNumThreads(threads)
     measured = speed.Bench([speed.Timing(candidate) for candidate in candidates])
     with progress() as bar:

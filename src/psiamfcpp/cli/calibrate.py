@@ -4,35 +4,31 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
-from typing import Annotated
 
-import tyro
-
+from psiamfcpp.cli.arguments import Json, Model, Output
 from psiamfcpp.cli.output import print_json, watching
 from psiamfcpp.spec import TrackingConstants
 
 
 def calibrate(
-    model: Annotated[str, tyro.conf.Positional],
+    model: Model,
     data: Path,
-    output: Annotated[Path, tyro.conf.arg(aliases=["-o"])],
+    output: Output,
     constants: TrackingConstants = TrackingConstants(),  # noqa: B008 - frozen
     search_size: int | None = None,
     held_out_every: int = 8,
     half: bool = False,
-    json: bool = False,
+    json: Json = False,
 ) -> None:
     """Fit the confidence that separates tracking, unsure and lost, and store it in a copy of the model.
 
     Args:
-        model: name of a shipped model, or a model file.
         data: folder of sequences.
         output: checkpoint to write, .safetensors.
         constants: of the tracking procedure, to calibrate with and to store; the authors' where not given.
         search_size: side of the search crop in pixels, to calibrate with and to store; by default the model's own.
         held_out_every: use only the clips that training with this value held out; 1 uses all.
         half: store the weights in half precision, for sharing.
-        json: print one JSON object.
     """
     from psiamfcpp.recipes import calibrate as recipe
 

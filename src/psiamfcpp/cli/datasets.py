@@ -5,17 +5,17 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+from psiamfcpp.cli.arguments import Json
 from psiamfcpp.cli.output import print_json
 from psiamfcpp.datasets import BENCHMARKS, Benchmark
 from psiamfcpp.errors import UserError
 
 
-def datasets(root: Path | None = None, json: bool = False) -> None:
+def datasets(root: Path | None = None, json: Json = False) -> None:
     """List the benchmarks, where to get them, and what of them is there.
 
     Args:
         root: folder to look into: one that holds the benchmarks' folders, or a benchmark's own.
-        json: print one JSON object.
     """
     if root is not None and not root.is_dir():
         raise UserError(f"folder {root} does not exist")

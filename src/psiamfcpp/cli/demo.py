@@ -5,11 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterator
 from itertools import chain
 from pathlib import Path
-from typing import Annotated
 
 import numpy as np
-import tyro
 
+from psiamfcpp.cli.arguments import Json, Output
 from psiamfcpp.cli.output import print_json, progress
 from psiamfcpp.demo.clip import DemoFrame, render
 from psiamfcpp.errors import UserError
@@ -23,13 +22,13 @@ FPS = 30.0
 
 
 def demo(
-    output: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("demo.mp4"),
+    output: Output = Path("demo.mp4"),
     model: str = DEFAULT_MODEL,
     frames: int = 300,
     seed: int = 4,
     tracker: str | None = None,
     options: TrackerOptions = TrackerOptions(),  # noqa: B008 - frozen
-    json: bool = False,
+    json: Json = False,
 ) -> None:
     """Render an aerial clip, follow its target, write the video and print how well it went.
 
@@ -41,7 +40,6 @@ def demo(
             in the others the target is lost at or after the occlusion.
         tracker: any other tracker instead, as opencv:mil or dcf:kcf.
         options: how the model runs.
-        json: print one JSON object.
     """
     if frames < 2:
         raise UserError(f"frames is {frames}: a clip needs at least 2")

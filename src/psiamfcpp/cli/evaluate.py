@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from psiamfcpp import datasets
+from psiamfcpp.cli.arguments import Json
 from psiamfcpp.cli.output import watching
 from psiamfcpp.cli.score import print_measured
 from psiamfcpp.evaluation.measured import CONVENTIONS
@@ -23,7 +24,7 @@ def evaluate(
     cluster: str | None = None,
     allow_missing: bool = False,
     options: TrackerOptions = TrackerOptions(),  # noqa: B008 - frozen
-    json: bool = False,
+    json: Json = False,
 ) -> None:
     """Run trackers over a benchmark, or a folder of sequences, and score them (one-pass evaluation, both conventions).
 
@@ -37,7 +38,6 @@ def evaluate(
         cluster: run on the workers of a Dask scheduler (tcp://HOST:PORT) instead.
         allow_missing: score a tracker on the sequences that could be run, and say how many could not.
         options: how our models run.
-        json: print one JSON object.
     """
     with watching() as watch:
         measured = run_benchmark(root, dataset, tracker, results, jobs, cluster, allow_missing, options, watch)

@@ -4,24 +4,25 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 
 import tyro
 
+from psiamfcpp.cli.arguments import HeldOut, Json, Output
 from psiamfcpp.cli.output import print_json, watching
 
 
 def export(
-    model: Annotated[str, tyro.conf.Positional],
-    output: Annotated[Path, tyro.conf.arg(aliases=["-o"])],
+    model: tyro.conf.Positional[str],
+    output: Output,
     int8: bool = False,
     format: Literal["onnx", "openvino"] = "onnx",
     data: tuple[str, ...] = (),
-    held_out_every: int = 8,
+    held_out_every: HeldOut = 8,
     root: Path | None = None,
     pairs: int = 128,
     layer_loss: float = 0.02,
-    json: bool = False,
+    json: Json = False,
 ) -> None:
     """Write the graphs that run a model without torch, and check them against it.
 
@@ -31,11 +32,9 @@ def export(
         int8: compute the search graph in 8-bit integers.
         format: onnx, which onnxruntime and OpenVINO read, or OpenVINO's own.
         data: what to calibrate and check on, each LAYOUT:FOLDER as for training; by default rendered clips.
-        held_out_every: hold out one clip in N of the data, the same N as in `psiamfcpp train`; 0 holds out none.
         root: folder of sequences to follow with the network in torch and with the graphs, plainly, and compare.
         pairs: targets to calibrate on; a quarter as many others serve the check.
         layer_loss: with int8, layers stay in float whose 8 bits alone cost more than this of the boxes' overlap.
-        json: print one JSON object.
     """
     from psiamfcpp.recipes import export as recipe
 

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
 
 import tyro
 
+from psiamfcpp.cli.arguments import Output
 
-def import_(
-    checkpoint: Annotated[Path, tyro.conf.Positional], output: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
-) -> None:
+
+def import_(checkpoint: tyro.conf.Positional[Path], output: Output) -> None:
     """Convert an official SiamFC++ (AlexNet) checkpoint; nothing in it is run.
 
     Args:

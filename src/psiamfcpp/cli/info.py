@@ -3,20 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import Annotated, Any
+from typing import Any
 
-import tyro
-
+from psiamfcpp.cli.arguments import Json, Model
 from psiamfcpp.cli.output import print_json
 
 
-def info(model: Annotated[str, tyro.conf.Positional], json: bool = False) -> None:
-    """Describe a model.
-
-    Args:
-        model: name of a shipped model, or a model file.
-        json: print one JSON object.
-    """
+def info(model: Model, json: Json = False) -> None:
+    """Describe a model."""
     from psiamfcpp.models import load
     from psiamfcpp.models.cost import facts as cost
 

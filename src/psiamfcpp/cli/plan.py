@@ -7,16 +7,17 @@ from typing import Annotated, Literal
 
 import tyro
 
+from psiamfcpp.cli.arguments import HeldOut, Json
 from psiamfcpp.cli.output import print_json, watching
 from psiamfcpp.errors import UserError
 
 
 def plan(
-    source: Annotated[str, tyro.conf.Positional],
+    source: tyro.conf.Positional[str],
     criterion: str = "rank",
     ranks: Path | None = None,
     data: tuple[str, ...] = (),
-    held_out_every: int = 8,
+    held_out_every: HeldOut = 8,
     preset: Literal["paper"] | None = None,
     keep: tuple[str, ...] = (),
     remove: float | None = None,
@@ -29,7 +30,7 @@ def plan(
     flat: bool = False,
     search_size: int | None = None,
     output: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None,
-    json: bool = False,
+    json: Json = False,
 ) -> None:
     """Choose the filters to keep, and say what that saves.
 
@@ -40,7 +41,6 @@ def plan(
         criterion: rank, norm, median, taylor, random, or MODULE:FUNCTION, a function f(group, context) -> scores (n,).
         ranks: with a model: its rank table, for the criterion rank.
         data: with a model: sets to run the training loss on, each LAYOUT:FOLDER, for the criterion taylor.
-        held_out_every: hold out one clip in N of the data, the same N as in `psiamfcpp train`; 0 holds out none.
         preset: the paper's shares.
         keep: GROUP=SHARE: share of the group's filters to KEEP; groups not named stay whole.
         remove: share of the filters to REMOVE from every group, those with flat scores apart.
@@ -53,7 +53,6 @@ def plan(
         flat: let `--remove` and the targets prune groups with flat scores too, by weight norm.
         search_size: side of the search crop to count and to time at; that of the model by default.
         output: plan to write, .json.
-        json: print one JSON object.
     """
     from psiamfcpp.pruning.table import RankTable
     from psiamfcpp.recipes import plan as recipe

@@ -3,22 +3,20 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
 
-import tyro
-
+from psiamfcpp.cli.arguments import HeldOut, Json, Model, Output
 from psiamfcpp.cli.output import print_json, watching
 
 
 def prune(
-    model: Annotated[str, tyro.conf.Positional],
+    model: Model,
     plan: Path,
-    output: Annotated[Path, tyro.conf.arg(aliases=["-o"])],
+    output: Output,
     data: tuple[str, ...] = (),
     images: int = 100,
     seed: int = 0,
-    held_out_every: int = 8,
-    json: bool = False,
+    held_out_every: HeldOut = 8,
+    json: Json = False,
 ) -> None:
     """Cut a model down to the filters that a plan keeps; fine-tune what comes out with `psiamfcpp train --init`.
 
@@ -27,14 +25,11 @@ def prune(
     model before: calibrate anew at the end.
 
     Args:
-        model: name of a shipped model, or a model file.
         plan: file that `psiamfcpp plan` wrote.
         output: checkpoint to write, .safetensors.
         data: sets to draw crops from to fit weights with, each LAYOUT:FOLDER (an unknown layout lists the known ones).
         images: pairs of crops to fit with, drawn as by `psiamfcpp rank`.
         seed: of the draw.
-        held_out_every: hold out one clip in N from the draw, the same N as in `psiamfcpp train`; 0 holds out none.
-        json: print one JSON object.
     """
     from psiamfcpp.recipes import prune as recipe
 

@@ -2,23 +2,19 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import Annotated
-
-import tyro
-
+from psiamfcpp.cli.arguments import HeldOut, Json, Model, Output
 from psiamfcpp.cli.output import print_json, watching
 
 
 def rank(
-    model: Annotated[str, tyro.conf.Positional],
+    model: Model,
     data: tuple[str, ...],
-    output: Annotated[Path, tyro.conf.arg(aliases=["-o"])],
+    output: Output,
     images: int = 200,
     batch: int = 4,
     seed: int = 0,
-    held_out_every: int = 8,
-    json: bool = False,
+    held_out_every: HeldOut = 8,
+    json: Json = False,
 ) -> None:
     """Average the rank of each filter's map over template and search crops, as a table to plan pruning with.
 
@@ -26,14 +22,11 @@ def rank(
     after an interruption, or with more images.
 
     Args:
-        model: name of a shipped model, or a model file.
         data: sets to draw crops from, each LAYOUT:FOLDER (an unknown layout lists the known ones).
         output: rank table to write, .json.
         images: pairs of crops, drawn as for training, but without changes of colour and cover.
         batch: pairs per forward pass.
         seed: of the draw.
-        held_out_every: hold out one clip in N from the draw, the same N as in `psiamfcpp train`; 0 holds out none.
-        json: print one JSON object.
     """
     from psiamfcpp.recipes import rank as recipe
 

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
 
 import tyro
 
+from psiamfcpp.cli.arguments import Output
 from psiamfcpp.cli.output import notes
 from psiamfcpp.datasets import BenchmarkName
 from psiamfcpp.errors import UserError
@@ -15,8 +15,8 @@ from psiamfcpp.watch import Watch
 
 
 def report(
-    results: Annotated[list[Path], tyro.conf.Positional],
-    output: Annotated[Path, tyro.conf.arg(aliases=["-o"])],
+    results: tyro.conf.Positional[list[Path]],
+    output: Output,
     dataset: tuple[BenchmarkName, ...] = (),
     annotations: tuple[Path, ...] = (),
     allow_missing: bool = False,

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any, Literal
 
+from psiamfcpp.cli.arguments import Json
 from psiamfcpp.cli.output import notes, print_json
 from psiamfcpp.datasets import BENCHMARKS, BenchmarkName
 from psiamfcpp.evaluation.measured import CONVENTIONS, Measured
@@ -22,7 +23,7 @@ def score(
     convention: Literal["otb", "got10k", "both"] = "both",
     per_sequence: bool = False,
     allow_missing: bool = False,
-    json: bool = False,
+    json: Json = False,
 ) -> None:
     """Score boxes that trackers left behind, without the frames.
 
@@ -33,7 +34,6 @@ def score(
         convention: what rows without a valid label count for.
         per_sequence: print each sequence's figures too, as is done for a single tracker anyway.
         allow_missing: score a tracker on the sequences that it has, and say how many are missing.
-        json: print one JSON object.
     """
     conventions = CONVENTIONS if convention == "both" else (convention,)
     measured = score_results(dataset, annotations, results, conventions, allow_missing, Watch(notes.print))

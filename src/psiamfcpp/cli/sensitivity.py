@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
 
-import tyro
-
+from psiamfcpp.cli.arguments import Json, Model, Output
 from psiamfcpp.cli.output import print_json, watching
 from psiamfcpp.training.options import Schedule, TrainOptions
 
@@ -15,16 +13,16 @@ _SHORT = TrainOptions(schedule=Schedule(steps=200, lr=3e-4), batch=16, ema=0.99)
 
 
 def sensitivity(
-    model: Annotated[str, tyro.conf.Positional],
+    model: Model,
     ranks: Path,
     root: Path,
-    output: Annotated[Path, tyro.conf.arg(aliases=["-o"])],
+    output: Output,
     data: tuple[str, ...] = (),
     options: TrainOptions = _SHORT,
     rows: tuple[str, ...] = (),
     shares: tuple[float, ...] = _SHARES,
     jobs: int = 1,
-    json: bool = False,
+    json: Json = False,
 ) -> None:
     """Measure what pruning each layer costs in precision, by share kept, and compare criteria on the paper's widths.
 
@@ -32,7 +30,6 @@ def sensitivity(
     the same command goes on where it was stopped, and table.csv, which grows; sensitivity.png comes at the end.
 
     Args:
-        model: name of a shipped model, or a model file.
         ranks: its rank table.
         root: folder of sequences to measure on.
         output: folder of the results.
@@ -41,7 +38,6 @@ def sensitivity(
         rows: layers to prune alone; by default the paper's nine rows.
         shares: shares of their filters to KEEP.
         jobs: processes to share the work, one thread each.
-        json: print one JSON object.
     """
     from psiamfcpp.recipes import sensitivity as recipe
     from psiamfcpp.recipes.sensitivity_report import criteria_table, ratio_table

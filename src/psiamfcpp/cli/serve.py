@@ -9,7 +9,6 @@ import os
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated
 
 import tyro
 
@@ -26,7 +25,7 @@ _DEMO_FRAMES, _DEMO_FPS, _DEMO_SIZE = 300, 30.0, (1280, 720)
 
 
 def serve(
-    source: Annotated[str, tyro.conf.Positional],
+    source: tyro.conf.Positional[str],
     host: str = "127.0.0.1",
     port: int = 8000,
     token: str | None = None,

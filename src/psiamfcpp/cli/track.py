@@ -17,7 +17,7 @@ from psiamfcpp.zoo import DEFAULT_MODEL
 
 
 def track(
-    source: Annotated[str, tyro.conf.Positional],
+    source: tyro.conf.Positional[str],
     box: tyro.conf.UseAppendAction[list[str]],
     model: str = DEFAULT_MODEL,
     tracker: str | None = None,

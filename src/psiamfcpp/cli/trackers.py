@@ -7,6 +7,7 @@ from pathlib import Path
 
 import tyro
 
+from psiamfcpp.cli.arguments import Json
 from psiamfcpp.cli.output import print_json
 from psiamfcpp.errors import UserError
 from psiamfcpp.trackers.listing import Listed, list_trackers
@@ -15,13 +16,12 @@ from psiamfcpp.trackers.trax.adapter import adapters
 
 def trackers(
     adapter: tyro.conf.UseAppendAction[list[str]],
-    json: bool = False,
+    json: Json = False,
 ) -> None:
     """List the trackers that other commands can open, how to write them, and what is missing for each.
 
     Args:
         adapter: look for the files of an adapter, as transt,checkout=DIR,weights=FILE,python=PY; may be repeated.
-        json: print one JSON object.
     """
     rows = list_trackers(dict(_adapter(text) for text in adapter))
     if json:

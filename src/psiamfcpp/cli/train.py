@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
-import tyro
-
+from psiamfcpp.cli.arguments import Output
 from psiamfcpp.cli.output import notes
 from psiamfcpp.datasets.choice import DataChoice
 from psiamfcpp.recipes.train import train as run_training
@@ -17,7 +16,7 @@ from psiamfcpp.watch import Watch
 def train(
     data: tuple[str, ...],
     init: Path,
-    output: Annotated[Path, tyro.conf.arg(aliases=["-o"])],
+    output: Output,
     options: TrainOptions = TrainOptions(),  # noqa: B008 - frozen
     run: RunOptions = RunOptions(),  # noqa: B008 - frozen
     held_out_every: int = 10,

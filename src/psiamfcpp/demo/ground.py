@@ -80,8 +80,8 @@ def build(rng: np.random.Generator) -> Land:
     main = _road([(-900, 1400), (500, 1120), (1150, 1150), (1750, 1520), (2250, 1600) + sway[0] / 2,
                   (2640, 2000), (2470, 2560) + sway[1], (2100, 3000), (2000, 4500)])  # fmt: skip
     crossing = _road([(1750, -900), (1800, 700) + sway[2], (1980, 1500), (1830, 2500), (1550, 4500)])
-    gaps = np.linalg.norm(main.points[:, None, :] - crossing.points[None, ::4, :], axis=2)
-    bridge = main.points[int(np.argmin(gaps.min(axis=1)))]
+    gaps = sum(np.subtract.outer(main.points[:, i], crossing.points[::4, i]) ** 2 for i in (0, 1))
+    bridge = main.points[int(np.argmin(np.min(gaps, axis=1)))]
 
     image = _fields(rng)
     _pond(image, np.array([1180.0, 2420.0]), rng)
@@ -139,7 +139,7 @@ def _fields(rng: np.random.Generator) -> NDArray[np.uint8]:
         stripes = 1 + rng.uniform(0.0, 0.07) * np.sin(phase * (2 * np.pi / period))
         crop = np.array(_CROPS[rng.integers(len(_CROPS))], np.float32) * rng.uniform(0.85, 1.12)
         region = image[y0:y1, x0:x1]
-        region[mask > 0] = (stripes[:, :, None] * crop)[mask > 0]
+        np.copyto(region, stripes[:, :, None] * crop, where=mask[:, :, None] > 0)
         cv2.polylines(hedges, [polygon], True, 255, 5, cv2.LINE_AA)
     rough = _noise(rng, half, 300) + 0.6
     weight = (hedges / 255.0 * np.clip(rough, 0, 1))[:, :, None].astype(np.float32)
@@ -147,7 +147,7 @@ def _fields(rng: np.random.Generator) -> NDArray[np.uint8]:
     shade = 1 + 0.05 * _noise(rng, half, 9) + 0.04 * _noise(rng, half, 60) + 0.045 * _noise(rng, half, 420)
     image *= shade[:, :, None]
     full = cv2.resize(image, (SIDE, SIDE), interpolation=cv2.INTER_LINEAR)
-    return np.clip(full, 0, 255).astype(np.uint8)
+    return np.clip(full, 0, 255, out=full).astype(np.uint8)
 
 
 def _split(low: Points, high: Points, rng: np.random.Generator) -> list[tuple[Points, Points]]:
@@ -196,7 +196,11 @@ def _crossing_road(image: Image, road: Road, bridge: Points) -> tuple[Image, Poi
     shadow = np.zeros(image.shape[:2], np.uint8)
     _fill(shadow, _band(road, span, _BRIDGE_WIDTH) + 4.5 * SUN, (255, 255, 255))
     shadow = np.asarray(cv2.GaussianBlur(shadow, (0, 0), 3), np.uint8)
-    image[:] = (image * (1 - 0.5 * (shadow / 255.0))[:, :, None]).astype(np.uint8)
+    origin = np.rint(bridge) - 400
+    x, y = origin.astype(int)
+    # the shadow lies inside the mask's window
+    window = (slice(y, y + 800), slice(x, x + 800))
+    image[window] = (image[window] * (1 - 0.5 * (shadow[window] / 255.0))[:, :, None]).astype(np.uint8)
     hidden = np.zeros_like(shadow)
     _fill(hidden, _band(road, span, _BRIDGE_WIDTH), (255, 255, 255))
 
@@ -211,10 +215,7 @@ def _crossing_road(image: Image, road: Road, bridge: Points) -> tuple[Image, Poi
         _stroke(image, rail + 0.35 * SUN, (104, 106, 108), 4)
         _stroke(image, rail, (196, 200, 202), 4)
     _dashes(image, road.points, 46, 72)
-    origin = np.rint(bridge) - 400
-    x, y = origin.astype(int)
-    cover = np.maximum(hidden, (shadow * 0.45).astype(np.uint8))[y : y + 800, x : x + 800]
-    return np.ascontiguousarray(cover), origin
+    return np.maximum(hidden[window], (shadow[window] * 0.45).astype(np.uint8)), origin
 
 
 def _houses(image: Image, taken: Image, road: Road, rng: np.random.Generator) -> list[tuple[float, float, float]]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 
 import cv2
 import numpy as np
@@ -35,6 +36,7 @@ class Sprite:
     """``(n, 2)``: points along the edge of the body"""
 
 
+@cache
 def car(colour: Colour) -> Sprite:
     """A saloon, 4.5 by 1.9 m (56 by 24 ground pixels), of a BGR colour."""
     sheet = _Sheet(56, 24, 4.5, colour)
@@ -49,6 +51,7 @@ def car(colour: Colour) -> Sprite:
     return sheet.sprite()
 
 
+@cache
 def van(colour: Colour) -> Sprite:
     """A delivery van, 5.5 by 2.2 m, of a BGR colour."""
     sheet = _Sheet(68, 27, 6.0, colour)
@@ -61,6 +64,7 @@ def van(colour: Colour) -> Sprite:
     return sheet.sprite()
 
 
+@cache
 def truck(colour: Colour) -> Sprite:
     """A lorry with a box, 10 by 2.5 m, its cab of a BGR colour."""
     sheet = _Sheet(122, 31, 9.0, (62, 60, 58))

@@ -91,25 +91,18 @@ class Builder:
         # The bias is in 32 bits of the weights' step times the input's: a dead filter's tiny step would cut it off.
         steps = np.maximum(steps, np.abs(layer.bias) / 2**30 / self.steps[x]).astype(np.float32)
         rounded = np.rint(folded / steps[:, None, None, None]).astype(np.int8)
-        weight = self.add(
-            "DequantizeLinear",
-            self.constant(rounded, f"{name}.weight"),
-            self.constant(steps, f"{name}.weight_scale"),
-            self.constant(np.zeros(len(steps), np.int8), f"{name}.weight_zero"),
-            axis=0,
-        )
+        weight = self._in_steps(rounded, steps, f"{name}.weight")
         bias_steps = (steps * self.steps[x]).astype(np.float32)
         limit = 2**31 - 1
         # In float64, since float32 rounds the limit up to 2**31, which turns the sign.
         whole = np.rint(layer.bias / bias_steps).astype(np.float64).clip(-limit, limit).astype(np.int32)
-        bias = self.add(
-            "DequantizeLinear",
-            self.constant(whole, f"{name}.bias"),
-            self.constant(bias_steps, f"{name}.bias_scale"),
-            self.constant(np.zeros(len(steps), np.int32), f"{name}.bias_zero"),
-            axis=0,
-        )
-        return x, weight, bias
+        return x, weight, self._in_steps(whole, bias_steps, f"{name}.bias")
+
+    def _in_steps(self, values: NDArray[np.integer], steps: NDArray[np.float32], name: str) -> str:
+        """Integers ``(outputs, ...)`` that stand for multiples of a step per output."""
+        stored = self.constant(values, name), self.constant(steps, f"{name}_scale")
+        zeros = self.constant(np.zeros(len(steps), values.dtype), f"{name}_zero")
+        return self.add("DequantizeLinear", *stored, zeros, axis=0)
 
     def to_uint8(self, x: str, step: np.float32, zero: int) -> str:
         """A tensor in eight bits; pixels are that already."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import tempfile
-import time
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -25,10 +24,9 @@ from psiamfcpp.pruning import planning
 from psiamfcpp.pruning.planning import Plan, plan_for_budget
 from psiamfcpp.pruning.table import RankTable, check_groups
 from psiamfcpp.runtime import open_engine, usable_cores
+from psiamfcpp.runtime.timing import search_milliseconds
 from psiamfcpp.spec import ModelSpec
 from psiamfcpp.watch import QUIET, Watch
-
-_WARM, _TIMED = 3, 12
 
 
 @dataclass(frozen=True)
@@ -154,14 +152,7 @@ def milliseconds(spec: ModelSpec, timing: Timing) -> float:
     ranges = measure(spec, weights, [Pair(template, search)]) if timing.precision == "int8" else Ranges()
     with tempfile.TemporaryDirectory() as folder:
         write_files(graphs_of(spec, weights, ranges), Path(folder), "onnx")
-        engine = open_engine(folder, timing.engine, timing.threads)
-        kernels = engine.template(template)
-        times = []
-        for _ in range(_WARM + _TIMED):
-            start = time.perf_counter()
-            engine.search(search, kernels)
-            times.append(time.perf_counter() - start)
-    return 1000 * float(np.median(times[_WARM:]))
+        return search_milliseconds(open_engine(folder, timing.engine, timing.threads))
 
 
 def _at(table: RankTable, spec: ModelSpec, share: float, flat: bool) -> Plan:

@@ -231,6 +231,7 @@ def test_urls_are_fetched(frame_files: list[Path]) -> None:
         server.server_close()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["path", "url", "memory", "buffer"])
 def test_the_reference_client_is_served(frame_files: list[Path], kind: str) -> None:
     pytest.importorskip("trax", reason="vot-trax, the independent TraX client, is not installed")
@@ -244,6 +245,7 @@ def test_the_reference_client_is_served(frame_files: list[Path], kind: str) -> N
     assert found["targets"] == [[[[10, 20, 30, 40], first], *follow], [[[5, 6, 7, 8], first], *follow]]
 
 
+@pytest.mark.slow
 def test_the_reference_server_is_understood() -> None:
     pytest.importorskip("trax", reason="vot-trax, the independent TraX server, is not installed")
     script = """

@@ -1,0 +1,16 @@
+"""Arguments that several commands share, each described once."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+Model = Annotated[str, tyro.conf.Positional, tyro.conf.arg(help="name of a shipped model, or a model file")]
+Output = Annotated[Path, tyro.conf.arg(aliases=["-o"])]
+HeldOut = Annotated[
+    int,
+    tyro.conf.arg(help="hold out one clip in N of the data, the same N as in `psiamfcpp train`; 0 holds out none"),
+]
+Json = Annotated[bool, tyro.conf.arg(help="print one JSON object")]
