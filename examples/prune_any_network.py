@@ -8,7 +8,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor, nn
 
-from psiamfcpp.pruning import plan, prune, rank, refit
+from psiamfcpp.pruning import find_groups, plan, prune, rank, refit
 
 
 class Block(nn.Module):
@@ -50,6 +50,8 @@ def main() -> None:
     # Yours would be images as the network sees them in use; a few hundred are enough for a steady order.
     images = [torch.rand(8, 3, 24, 24) for _ in range(4)]
 
+    for group in find_groups(network, images[0]).values():
+        print(group)
     ranks = rank(network, images)
     for name, group in ranks.groups.items():
         print(f"{name:16} {len(group.rank):3} filters, {group.dead} dead{', flat' if group.flat else ''}")

@@ -6,10 +6,7 @@ from pathlib import Path
 
 from psiamfcpp.cli.arguments import Json, Model, Output
 from psiamfcpp.cli.output import print_json, watching
-from psiamfcpp.training.options import Schedule, TrainOptions
-
-_SHARES = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8)
-_SHORT = TrainOptions(schedule=Schedule(steps=200, lr=3e-4), batch=16, ema=0.99)
+from psiamfcpp.training.options import SHORT, TrainOptions
 
 
 def sensitivity(
@@ -18,9 +15,9 @@ def sensitivity(
     root: Path,
     output: Output,
     data: tuple[str, ...] = (),
-    options: TrainOptions = _SHORT,
+    options: TrainOptions = SHORT,
     rows: tuple[str, ...] = (),
-    shares: tuple[float, ...] = _SHARES,
+    shares: tuple[float, ...] = (),
     jobs: int = 1,
     json: Json = False,
 ) -> None:
@@ -36,7 +33,7 @@ def sensitivity(
         data: training sets, each LAYOUT:FOLDER; with them every network is measured after fine-tuning as well.
         options: of the fine-tuning.
         rows: layers to prune alone; by default the paper's nine rows.
-        shares: shares of their filters to KEEP.
+        shares: shares of their filters to KEEP; by default 0.1, 0.2 ... 0.8.
         jobs: processes to share the work, one thread each.
     """
     from psiamfcpp.recipes import sensitivity as recipe

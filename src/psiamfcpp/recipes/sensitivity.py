@@ -29,12 +29,11 @@ from psiamfcpp.recipes.sensitivity_report import draw_sensitivity, write_csv
 from psiamfcpp.trackers import TrackerOptions
 from psiamfcpp.trackers.siamfcpp import Tracker
 from psiamfcpp.training.loop import MODEL_FILE, train
-from psiamfcpp.training.options import RunOptions, Schedule, TrainOptions
+from psiamfcpp.training.options import SHORT, RunOptions, TrainOptions
 from psiamfcpp.watch import QUIET, Watch
 from psiamfcpp.zoo import weights_path
 
 SHARES = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8)
-SHORT = TrainOptions(schedule=Schedule(steps=200, lr=3e-4), batch=16, ema=0.99)
 _CELL_FORMAT, _SETUP_FORMAT = "psiamfcpp-cell/1", "psiamfcpp-sensitivity/1"
 
 
@@ -47,7 +46,7 @@ def sensitivity(
     data: Sequence[str] = (),
     options: TrainOptions = SHORT,
     rows: Sequence[str] = (),
-    shares: Sequence[float] = SHARES,
+    shares: Sequence[float] = (),
     jobs: int = 1,
     watch: Watch = QUIET,
 ) -> list[dict[str, Any]]:
@@ -64,7 +63,7 @@ def sensitivity(
         data: training sets, each LAYOUT:FOLDER; with them every network is measured after fine-tuning as well.
         options: of the fine-tuning.
         rows: layers to prune alone; by default the rows of the architecture, for SiamFC++ the paper's nine.
-        shares: shares of their filters to KEEP.
+        shares: shares of their filters to KEEP; by default `SHARES`.
         jobs: processes to share the work, one thread each.
         watch: is told of the progress.
 
@@ -84,7 +83,7 @@ def sensitivity(
     if jobs < 1:
         raise UserError(f"jobs is {jobs}: it must be at least 1")
     setup = Setup(str(model), ranks, root, tuple(data), options)
-    wanted = cells(setup, tuple(rows or known), tuple(shares))
+    wanted = cells(setup, tuple(rows or known), tuple(shares or SHARES))
     order = {(c.row, c.share, c.criterion, c.tuned): number for number, c in enumerate(wanted)}
     done: list[dict[str, Any]] = []
     for result in watch.track(measure_all(setup, wanted, output, jobs), "networks", len(wanted)):

@@ -146,6 +146,10 @@ class TrainOptions:
             raise UserError("batch must be at least 1, ema in 0..1 without 1, and clip above 0")
 
 
+# A fine-tune of minutes, for comparisons of many networks.
+SHORT = TrainOptions(schedule=Schedule(steps=200, lr=3e-4), batch=16, ema=0.99)
+
+
 @dataclass(frozen=True)
 class RunOptions:
     """How a run is carried out; none of it decides the result."""
