@@ -235,6 +235,7 @@ def test_an_interruption_keeps_what_was_done(
     assert names(outputs) == ["b.txt", "o.mp4"]
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="no such signals")
 @pytest.mark.parametrize("kind", ["SIGTERM", "SIGINT", "SIGHUP"])
 def test_a_signal_leaves_files_that_are_whole(tmp_path: Path, outputs: Path, kind: str) -> None:
