@@ -199,7 +199,8 @@ def touch(address: str, abrupt: bool) -> None:
     client.send('{"type": "frame"}')
     client.recv(timeout=60)
     if abrupt:
-        client.socket.close()
+        # not `close`: the client's thread would go on reading from whatever has the number of the file next
+        client.socket.shutdown(socket.SHUT_RDWR)
     else:
         client.close()
 

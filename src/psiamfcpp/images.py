@@ -46,9 +46,10 @@ class ImageReader:
             image = None
         if image is None:
             raise UserError(f"image {path} cannot be read: replace or remove it")
-        return np.asarray(image, np.uint8) if image.dtype == np.uint8 else self._stretched(image)
+        return np.asarray(image, np.uint8) if image.dtype == np.uint8 else self.stretched(image)
 
-    def _stretched(self, image: NDArray[Any]) -> Image:
+    def stretched(self, image: NDArray[Any]) -> Image:
+        """Return an image ``(H, W, 3)`` of any depth in 8 bits, by the range of the first one."""
         values = image.astype(np.float64)
         finite = values[np.isfinite(values)]
         if self._range is None and finite.size and finite.min() < finite.max():

@@ -43,6 +43,16 @@ def test_an_operator_that_comes_back_is_still_one(address: str) -> None:
         assert state(socket)["operator"] == "you"
 
 
+def test_nobody_can_bear_the_name_of_another(address: str, http: httpx.Client, control: Control) -> None:
+    assert http.post("/api/operator").status_code == 200
+    assert http.get("/api/state").json()["operator"] == "you"
+    holder = control.lease.holder
+    assert holder == "rest 127.0.0.1"
+    assert http.post("/api/operator", headers={"X-Client": holder}).status_code == 409
+    with connect(f"ws://{address}/api/live?client=rest%20127.0.0.1") as socket:
+        assert not ask(socket, type="stop")["ok"]
+
+
 def test_control_is_free_once_its_holder_is_silent(control: Control, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("psiamfcpp.serve.control.LEASE_S", 0.05)
     control.take("a")

@@ -45,6 +45,20 @@ def test_a_body_that_does_not_come_is_not_waited_for(address: str, monkeypatch: 
         assert slow.recv(4096).startswith(b"HTTP/1.1 4")
 
 
+def test_a_request_that_breaks_off_is_not_carried_out(address: str, http: httpx.Client) -> None:
+    host, port = address.split(":")
+    head = b"POST /api/operator HTTP/1.1\r\nHost: 127.0.0.1\r\nX-Client: broken\r\nContent-Length: "
+    with socket.create_connection((host, int(port))) as broken:
+        broken.sendall(head + b"30\r\n\r\n{")
+        assert http.get("/api/state").json()["operator"] == "none"
+    time.sleep(0.2)
+    assert http.get("/api/state").json()["operator"] == "none"
+    with socket.create_connection((host, int(port)), timeout=30) as complete:
+        complete.sendall(head + b"0\r\n\r\n")
+        assert complete.recv(4096).startswith(b"HTTP/1.1 200")
+    assert http.get("/api/state").json()["operator"] == "other"
+
+
 def test_a_client_that_reads_slowly_reads_what_is_new(address: str, stream: Stream, follower: Follower) -> None:
     stream.fps = 200
     with live(address, max_queue=1) as slow:

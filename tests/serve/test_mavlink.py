@@ -371,6 +371,7 @@ def held(monkeypatch: pytest.MonkeyPatch) -> threading.Event:
 TAP = (119 / WIDTH, 94 / HEIGHT)
 
 
+@pytest.mark.slow
 def test_a_repeated_command_is_answered_and_not_repeated(
     station: Station, follower: Follower, held: threading.Event
 ) -> None:
@@ -424,6 +425,7 @@ def test_the_same_command_of_another_station_or_later_is_another(
     assert follower.started == 2
 
 
+@pytest.mark.slow
 def test_a_fault_in_a_command_or_a_message_is_told_and_leaves_the_rest(
     station: Station, camera: Camera, control: Control, follower: Follower, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -479,6 +481,7 @@ def test_stations_with_the_same_numbers_are_two(join: Callable[..., Station], co
             assert not ask(page, type="stop")["ok"]
 
 
+@pytest.mark.slow
 def test_a_flood_of_one_station_costs_no_other_a_command(station: Station, port: int) -> None:
     done = threading.Event()
     flood = bytes(mav.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3).pack(mav.MAVLink(None, 200, 190)))

@@ -90,6 +90,7 @@ def test_frames_are_on_disk_while_it_records(recorder: Recorder, follower: Follo
     assert recorder.on
 
 
+@pytest.mark.slow
 def test_an_encoder_that_is_too_slow_does_not_fall_behind(
     recorder: Recorder, follower: Follower, stream: Stream, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -126,6 +127,7 @@ def test_what_is_recorded_is_synced_to_the_disk(
     until(lambda: {path.stat().st_ino for path in folder.iterdir()} <= synced)
 
 
+@pytest.mark.slow
 def test_a_full_disk_keeps_what_was_recorded(
     recorder: Recorder, follower: Follower, stream: Stream, tmp_path: Path
 ) -> None:

@@ -172,6 +172,26 @@ def test_sound_that_goes_on_after_the_last_image_is_no_cut(tmp_path: Path, suffi
     assert numbers(path) == list(range(COUNT))
 
 
+def test_a_thermal_video_keeps_its_grey_levels(tmp_path: Path) -> None:
+    path = tmp_path / "a.mkv"
+    ramp = np.tile(np.arange(WIDTH, dtype=np.uint16), (HEIGHT, 1)) + 7000
+    with av.open(str(path), "w") as out:
+        stream = out.add_stream("ffv1", rate=25)
+        stream.width, stream.height, stream.pix_fmt = WIDTH, HEIGHT, "gray16le"
+        for number in range(3):
+            frame = av.VideoFrame.from_ndarray(ramp + 10 * number, format="gray16le")
+            frame.pts, frame.time_base = number, Fraction(1, 25)
+            out.mux(stream.encode(frame))
+        out.mux(stream.encode(None))
+    with open_source(path) as source:
+        frames = list(source)
+    assert len(frames) == 3
+    for number, frame in enumerate(frames):
+        # 320 counts are stretched over 256 levels, the same in all frames
+        expected = np.clip((np.arange(WIDTH) + 10 * number) * 255 / 319, 0, 255)
+        assert np.allclose(frame[5, :, 1], expected, atol=1.5)
+
+
 @pytest.mark.parametrize("quarters", [1, 2, 3])
 def test_turned_videos_are_turned_by_both_readers(tmp_path: Path, quarters: int) -> None:
     from psiamfcpp.video import streams
@@ -195,5 +215,5 @@ def test_turned_videos_are_turned_by_both_readers(tmp_path: Path, quarters: int)
         expected = next(source)
     assert expected.shape == ((WIDTH, HEIGHT, 3) if quarters % 2 else (HEIGHT, WIDTH, 3))
     with av.open(str(path)) as container:
-        found, _ = next(streams._frames(av, container, container.streams.video[0]))
+        found, _ = next(streams._frames(av, container, container.streams.video[0], False))
     assert np.array_equal(found, expected)

@@ -180,6 +180,7 @@ def test_matroska_on_a_full_disk_keeps_what_was_written(
     assert 10 < count < 80
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fps", [5, 30])
 def test_matroska_survives_a_kill_but_for_the_last_second(tmp_path: Path, fps: int) -> None:
     pytest.importorskip("av")

@@ -183,6 +183,8 @@ async def _whole(receive: Receive) -> bytes | int:
             message = await asyncio.wait_for(receive(), end - asyncio.get_running_loop().time())
         except asyncio.TimeoutError:
             return 408
+        if message["type"] == "http.disconnect":  # nobody is left to answer, nor to act for
+            return 408
         body += message.get("body", b"")
         if len(body) > MAX_BODY:
             return 413

@@ -95,9 +95,11 @@ class Recorder:
 
     def _take(self) -> None:
         shot = self._follower.newest
-        if shot is not None and shot.number != self._last and not self._shots.full():
-            self._last = shot.number
-            self._shots.put_nowait(shot)
+        # called in any thread that tells of something, so that what has room now may have none in a moment
+        with contextlib.suppress(queue.Full):
+            if shot is not None and shot.number != self._last:
+                self._shots.put_nowait(shot)
+                self._last = shot.number
 
     def _run(self, recording: _Recording, shots: queue.Queue[Shot | None]) -> None:
         try:
@@ -189,8 +191,8 @@ class _Recording:
     def _sync(self) -> None:
         """Have the system write what it holds, in a thread of its own, for some cards take their time."""
         while not self._done.wait(_SYNC_S):
-            for path in self.folder.iterdir():
-                with contextlib.suppress(OSError):
+            with contextlib.suppress(OSError):  # the recording itself will tell
+                for path in self.folder.iterdir():
                     file = os.open(path, os.O_RDONLY)
                     try:
                         os.fsync(file)

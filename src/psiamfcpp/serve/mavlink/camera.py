@@ -174,8 +174,9 @@ class Camera:
         if packet.target_component == mav.MAV_COMP_ID_ALL and result not in _GOOD:
             # a command to everybody that is not for cameras: whom it is for will answer
             return
+        progress = 255 if result == mav.MAV_RESULT_IN_PROGRESS else 0  # 255 is unknown
         ack = mav.MAVLink_command_ack_message(
-            packet.command, result, 0, 0, packet.get_srcSystem(), packet.get_srcComponent()
+            packet.command, result, progress, 0, packet.get_srcSystem(), packet.get_srcComponent()
         )
         for message in (ack, *messages):
             self._send(message)
