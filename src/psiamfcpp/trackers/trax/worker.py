@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import fcntl
 import os
 import select
 import signal
@@ -21,6 +22,7 @@ from psiamfcpp.trackers.adapters.trax_worker import Message, ProtocolError, spli
 # A state with a mask of a large image stays below this.
 _LONGEST_LINE = 8 << 20
 _BLOCK = 1 << 16
+_PIPE = 1 << 20
 _LAST_LINES, _LAST_CHARACTERS = 3, 300
 _GOODBYE_SECONDS = 10.0
 
@@ -63,6 +65,9 @@ class Worker:
         self._stdin, self._stdout, self._stderr = (stream.fileno() for stream in streams if stream is not None)
         for descriptor in (self._stdin, self._stdout, self._stderr):
             os.set_blocking(descriptor, False)
+        # A frame of megabytes through a pipe of 64 KiB is many switches between two processes.
+        with contextlib.suppress(AttributeError, OSError):
+            fcntl.fcntl(self._stdin, fcntl.F_SETPIPE_SZ, _PIPE)
         self._poll = select.poll()
         self._poll.register(self._stdout, select.POLLIN)
         self._poll.register(self._stderr, select.POLLIN)
@@ -179,7 +184,7 @@ class Worker:
 
     def _write(self) -> None:
         try:
-            written = os.write(self._stdin, memoryview(self._outgoing)[: _BLOCK * 16])
+            written = os.write(self._stdin, memoryview(self._outgoing)[:_PIPE])
         except BrokenPipeError:
             # its end shows on its output, with the reason
             written = len(self._outgoing)
