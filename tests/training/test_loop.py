@@ -398,3 +398,23 @@ def test_frames_of_videos_are_kept_in_the_runs_folder(scenes: list[Sequence], tm
         )
     )
     assert len(list((tmp_path / "f").glob("clip-*/*.jpg"))) == 6
+
+
+@pytest.mark.slow
+def test_compiled_it_learns_the_same(start: Start, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """With layers that are free on every other step: each part is compiled once, and not anew at each."""
+    compiled = []
+
+    def without_a_compiler(module: torch.nn.Module) -> None:
+        compiled.append(type(module).__name__)
+        own(module, backend="eager")
+
+    own = torch.nn.Module.compile
+    monkeypatch.setattr(torch.nn.Module, "compile", without_a_compiler)
+    chosen = options(3, ema=0.0)
+    chosen = dataclasses.replace(chosen, schedule=dataclasses.replace(chosen.schedule, low_every=2))
+    list(start(chosen, folder="compiled", compile=True))
+    assert compiled == ["Backbone", "Head"]
+    list(start(chosen, folder="plain"))
+    first, second = (weights(tmp_path / name) for name in ("compiled", "plain"))
+    assert all(torch.allclose(value, second[name], rtol=1e-3, atol=1e-4) for name, value in first.items())

@@ -120,6 +120,10 @@ def train(
     optimizer = _optimizer(model, options)
     mean = copy.deepcopy(model)
     start = _resume(output / STATE_FILE, model, mean, optimizer, options) or run.first_step
+    if run.compile:
+        # The parts and not the losses, which are made anew whenever another set of layers is free.
+        model.backbone.compile()
+        model.head.compile()
     stored = StoredMaps(Path(options.teacher.stored), options.pairs, options.seed) if options.teacher.stored else None
     if ranks > 1 and options.schedule.low_every > 1:
         raise UserError("low-every needs one process: under torchrun, leave it at 1")
@@ -145,8 +149,6 @@ def train(
         if options.schedule.free(step) != free:
             free = options.schedule.free(step)
             module = _thaw(model, free, options, teacher, ranks)
-            if run.compile:
-                module.compile()
         for group in optimizer.param_groups:
             group["lr"] = options.schedule.rate(step) * group["factor"]
         with torch.autocast(device.type, torch.bfloat16, enabled=bf16):
