@@ -14,7 +14,6 @@ from psiamfcpp.errors import UserError
 from psiamfcpp.geometry import Box, Image, check_box
 from psiamfcpp.trackers.contract import Track
 
-
 # Targets with a larger geometric mean of sides are followed in a frame of every n-th pixel: windows are several times
 # as wide as the target, and not all filters limit them. No benchmark has such a target.
 _LARGEST_SIDE = 1000.0
