@@ -122,15 +122,16 @@ class McctH:
             cells[:] = 1
         return np.maximum(cells, np.float32(0.1))
 
-    def _train(self, frame: Image) -> tuple[Spectrum, Float]:
+    def _train(self, frame: Image) -> tuple[Spectrum, Real]:
         """Train the scales; conjugate numerators, and denominators of the three blocks, for this frame."""
         n = self._normal
         patch = staple.patch(frame, self._position, self._areas.background, n.background)
         spectrum = rfft2(self._features(patch) * self._hann)
-        cells = np.float32(np.prod(n.cells))
+        cells = np.float32(n.cells[0] * n.cells[1])
         energy = np.square(spectrum.real) + np.square(spectrum.imag)
         self._scales.train(self._scales.sample(frame, self._position, self._base, self._scale))
-        return (self._label * spectrum).conj() / cells, np.stack([energy[b].sum(axis=0) for b in BLOCKS]) / cells
+        denominators = np.stack([energy[b].sum(axis=0) for b in BLOCKS])
+        return (self._label * spectrum).conj() / cells, denominators / cells
 
     def _follow_scale(self, frame: Image) -> None:
         sample = self._scales.sample(frame, self._position, self._base, self._scale)

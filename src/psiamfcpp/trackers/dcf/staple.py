@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from psiamfcpp.geometry import FloatArray, Image
-from psiamfcpp.trackers.dcf.features import Float
+from psiamfcpp.trackers.dcf.features import Float, grey
 from psiamfcpp.trackers.dcf.fourier import Real
 from psiamfcpp.trackers.dcf.geometry import Pixels, Size, cut, resize_auto, round_half_away, whole
 
@@ -99,8 +99,6 @@ def on_pixels(responses: Real, side: int) -> Real:
 
 def grey_of_cells(resized: Pixels) -> Float:
     """``grey / 255 - 0.5`` of a patch that was resized to the grid of cells, ``(rows, columns)``."""
-    from psiamfcpp.trackers.dcf.features import grey
-
     return grey(resized).astype(np.float32) / np.float32(255) - np.float32(0.5)
 
 
