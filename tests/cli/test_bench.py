@@ -14,6 +14,7 @@ from .conftest import Run
 ROW = {
     "model",
     "engine",
+    "device",
     "precision",
     "ms_median",
     "ms_min",
@@ -28,7 +29,7 @@ ROW = {
 def timing(name: str, *rounds: list[float]) -> Timing:
     """Updates of so many milliseconds, nine tenths of it in the graph."""
     steps = [[Step(ms * 0.05e-3, ms * 0.9e-3, ms * 0.05e-3) for ms in updates] for updates in rounds]
-    return Timing(Candidate(name, "none", "fp32", tracker=None), steps)  # type: ignore[arg-type]
+    return Timing(Candidate(name, tracker=None), steps)  # type: ignore[arg-type]
 
 
 def test_speedup_is_the_median_over_rounds_of_what_each_round_saw() -> None:
@@ -57,9 +58,13 @@ def test_rows_for_programs(run: Run, tiny_graphs: Path) -> None:
     ours, *peers = told["rows"]
     assert all(set(row) == ROW for row in told["rows"])
     assert (ours["model"], ours["engine"], ours["precision"]) == (str(tiny_graphs), "onnx", "fp32")
+    assert (ours["device"], peers[0]["device"]) == ("cpu", None)
     assert [(row["model"], row["engine"]) for row in peers] == [("opencv-mil", "opencv")]
     assert told["rounds"] == 2
     assert told["frame_size"] == [1280, 720]
+    (columns,) = told["processors"]
+    assert columns["fps_cpu"] == pytest.approx(1e3 / ours["ms_median"])
+    assert columns["fps_gpu"] is None
     assert {"cpu", "flags", "threads", "load", "noise", "noisy", "read_ms"} <= set(told)
 
 
@@ -69,6 +74,7 @@ def test_a_sequence_of_frames_is_followed(run: Run, tiny_graphs: Path, blob_sequ
     ended = run(*args, "--frames", 2, "--sequence", root / "blob")
     assert ended.code == 0, ended.err
     assert "frames of 320x240" in ended.out
+    assert ended.out.splitlines()[-1].endswith("not measured")
     assert "holds 3 frames" in run(*args, "--frames", 3, "--sequence", root / "blob").refused()
 
 
@@ -78,6 +84,8 @@ def test_a_sequence_of_frames_is_followed(run: Run, tiny_graphs: Path, blob_sequ
         (("--rounds", "0"), "rounds is 0"),
         (("--threads", "0"), "threads is 0"),
         (("--engines", "tensorflow"), "unknown engine 'tensorflow'"),
+        (("--devices", "cuda:x"), "unknown device 'cuda:x'"),
+        (("--models", "siamfcpp-alexnet", "--engines", "openvino", "--devices", "cuda"), "no model and engine"),
         (("--models", "siamfcpp-alexnt", "--engines", "torch"), "did you mean 'siamfcpp-alexnet'"),
         (("--models", "siamfcpp-alexnet-int8", "--engines", "torch"), "no model and engine go together"),
     ],

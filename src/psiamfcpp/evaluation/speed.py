@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Callable
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -41,10 +41,24 @@ class Candidate:
     """A tracker to time, and how the table shows it."""
 
     model: str
-    engine: str
-    precision: str | None
-    """fp32 or int8; None where the tracker does not say"""
     tracker: Tracker
+    kind: str = ""
+    """of another tracker than ours, as opencv or dcf"""
+
+    @property
+    def engine(self) -> str:
+        """What runs the network; of other trackers their kind."""
+        return self.tracker.engine.name if isinstance(self.tracker, OurTracker) else self.kind
+
+    @property
+    def device(self) -> str | None:
+        """Where it computes, as cpu or cuda:0; None where the tracker does not say."""
+        return self.tracker.engine.device if isinstance(self.tracker, OurTracker) else None
+
+    @property
+    def precision(self) -> str | None:
+        """Number format: fp32, fp16 or int8; None where the tracker does not say."""
+        return self.tracker.engine.precision if isinstance(self.tracker, OurTracker) else None
 
     def step(self, frame: Image) -> Step:
         """Find the target in the next frame, and time it.
@@ -86,6 +100,7 @@ class Timing:
         return {
             "model": self.candidate.model,
             "engine": self.candidate.engine,
+            "device": self.candidate.device,
             "precision": self.candidate.precision,
             "ms_median": float(np.median(by_round)),
             "ms_min": float(self.part("total").min()),
@@ -118,7 +133,7 @@ class Bench:
         return self.noise > _NOISE
 
 
-def run(bench: Bench, frames: list[Image], box: Box, rounds: int, advance: Callable[[], None] = lambda: None) -> None:
+def run(bench: Bench, frames: list[Image], box: Box, rounds: int) -> Iterator[Candidate]:
     """Time candidates in turn, round after round.
 
     Args:
@@ -126,7 +141,9 @@ def run(bench: Bench, frames: list[Image], box: Box, rounds: int, advance: Calla
         frames: ``(H, W, 3)`` uint8, BGR; every candidate follows the same target through all of them.
         box: the target on the first.
         rounds: how often.
-        advance: called after each candidate of each round.
+
+    Yields:
+        Each candidate of each round, once it is timed.
     """
     files = [cv2.imencode(".jpg", frame)[1] for frame in frames]
     for _ in range(rounds):
@@ -138,7 +155,7 @@ def run(bench: Bench, frames: list[Image], box: Box, rounds: int, advance: Calla
             bench.reference.append(_fixed_work())
             timing.candidate.tracker.init(frames[0], box)
             timing.steps.append([timing.candidate.step(frame) for frame in frames[1:]])
-            advance()
+            yield timing.candidate
 
 
 def machine() -> dict[str, Any]:
