@@ -25,7 +25,8 @@ from contextlib import suppress
 from pathlib import Path
 
 _CHILD_SUBREAPER = 36
-_DESPERATE = 250
+# seconds
+_DESPERATE = 30.0
 
 
 def main(control: int, folder: str, command: list[str]) -> int:
@@ -63,18 +64,31 @@ def _watch(control: int, worker: int, folder: str, parent: int) -> None:
 
 
 def _kill_all(worker: int) -> None:
-    """Kill all descendants; a worker that forks faster than it is killed is stopped first."""
+    """Kill all descendants; a worker that forks faster than it is killed is stopped first.
+
+    A look at /proc can miss a process that is forked meanwhile. But orphans become children of the guard, so that
+    there are none left when it has no child.
+    """
     with suppress(ProcessLookupError, PermissionError):
         os.killpg(worker, signal.SIGKILL)
-    for _ in range(_DESPERATE):
+    end = time.monotonic() + _DESPERATE
+    while _has_children() and time.monotonic() < end:
         alive = _descendants(os.getpid())
-        if not alive:
-            return
         for sign in (signal.SIGSTOP, signal.SIGKILL):
             for process in alive:
                 with suppress(ProcessLookupError, PermissionError):
                     os.kill(process, sign)
-        time.sleep(0.02)
+        time.sleep(0.01)
+
+
+def _has_children() -> bool:
+    """Reap all children that are dead, and say whether others are left."""
+    try:
+        while os.waitpid(-1, os.WNOHANG)[0]:
+            continue
+    except ChildProcessError:
+        return False
+    return True
 
 
 def _descendants(root: int) -> list[int]:
