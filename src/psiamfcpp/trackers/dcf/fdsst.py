@@ -81,6 +81,7 @@ class Fdsst:
     def _train(self, frame: Image) -> None:
         """Blend the sample into the template, compress anew by its principal components, and train the scales."""
         sample, rate = self._sample(frame), np.float32(self._constants.interp_factor)
+        first = self._template is None
         if self._template is None:
             self._template = sample.copy()
         else:
@@ -90,8 +91,7 @@ class Fdsst:
         self._projection = vectors[:, : -self._constants.num_compressed_dim - 1 : -1].T.astype(np.float32)
         self._numerator = self._label * self._spectrum(self._template).conj()
         energy = np.square(np.abs(self._spectrum(sample))).sum(axis=0)
-        old = getattr(self, "_denominator", energy)
-        self._denominator: Float = old + rate * (energy - old)
+        self._denominator: Float = energy if first else self._denominator + rate * (energy - self._denominator)
         self._scales.train(frame, self._position, self._scale)
 
     def _sample(self, frame: Image) -> Float:

@@ -39,8 +39,8 @@ def fhog(patch: Pixels, cell: int = 4, out: Float | None = None, sse: bool = Fal
         patch: ``(h, w)`` or ``(h, w, C)``, uint8 or float32.
         cell: side of a cell in pixels.
         out: array ``(31, h // cell, w // cell)`` to write into.
-        sse: take square roots with the eleven bits of the processor that the authors' boxes were made on. All filters
-            do: it decides between near-equal scales.
+        sse: take the approximate square roots of the processor that the authors' boxes were made on, see `kernels`. All
+            filters do: they decide between near-equal scales.
     """
     if out is None:
         out = np.empty((HOG_CHANNELS, *_cells(patch, cell)), np.float32)

@@ -194,13 +194,13 @@ class FastScaleFilter:
         """Blend the sample about a position (row, column, 1-based) at a scale factor into the filter."""
         sample = self._sample(image, position, scale)
         rate = np.float32(self.constants.scale_learning_rate)
+        first = self._model is None
         self._model = sample if self._model is None else self._model + rate * (sample - self._model)
         # The compressed template is the triangle itself: Q'S = R. Signs of its rows cancel in every product.
         self._basis, triangle = np.linalg.qr(self._model.T)
         self._numerator = self._label * self._spectrum(triangle).conj()
         energy = np.square(np.abs(self._spectrum(np.asarray(np.linalg.qr(sample.T, mode="r"))))).sum(axis=0)
-        old = getattr(self, "_denominator", energy)
-        self._denominator = old + rate * (energy - old)
+        self._denominator: Float = energy if first else self._denominator + rate * (energy - self._denominator)
 
     def detect(self, image: Image, position: ArrayLike, scale: float) -> float:
         """The factor by which the target at a position (row, column, 1-based) differs from the scale factor."""
