@@ -250,7 +250,7 @@ def _describe(choice: TrackerChoice, dataset: str, root: Path, conditions: dict[
 def _conditions(choice: TrackerChoice, jobs: int, earlier: dict[str, Any] | None) -> dict[str, Any]:
     """Under what conditions the times were measured, those of an earlier run included."""
     # how many threads a foreign class uses, nobody here knows
-    threads = None if choice.kind not in ("model", "opencv", "dcf") else choice.options.threads
+    threads = None if choice.kind == "module" else choice.options.threads
     processor = processor_name()
     if earlier is None:
         return {"threads": threads, "jobs": jobs, "processor": processor}

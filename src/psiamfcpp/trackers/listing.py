@@ -7,9 +7,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-import cv2
-
 from psiamfcpp.trackers.nanotrack import VERSIONS
+from psiamfcpp.trackers.opencv import FILES, opencv_trackers
 from psiamfcpp.trackers.trax.adapter import describe_adapters
 from psiamfcpp.zoo import graph_names, names
 
@@ -35,10 +34,9 @@ def list_trackers(adapters: Mapping[str, Mapping[str, str]] | None = None) -> li
     Args:
         adapters: checkout, weights and python by adapter, as far as they are known.
     """
-    rows = [Listed("model", name, name) for name in (*graph_names(), *names())]
+    rows = [Listed("model", name, name) for name in sorted({*graph_names(), *names()})]
     rows += _filters()
-    found = sorted(name for name in dir(cv2) if name.startswith("Tracker") and name.endswith("_create"))
-    rows += [Listed("opencv", name.removesuffix("_create"), name.removesuffix("_create")) for name in found]
+    rows += [_opencv(name) for name in opencv_trackers()]
     rows += [
         Listed("nanotrack", f"NanoTrack {version}", f"nanotrack:{version},backbone=FILE.onnx,head=FILE.onnx",
                ["files: backbone and head of github.com/HonglinChu/SiamTrackers (Apache-2.0)"])
@@ -51,6 +49,15 @@ def list_trackers(adapters: Mapping[str, Mapping[str, str]] | None = None) -> li
     rows.append(Listed("trax", "any TraX program", "trax:COMMAND"))
     rows.append(Listed("module", "any Python class", "MODULE:CLASS"))
     return rows
+
+
+def _opencv(full_name: str) -> Listed:
+    """Return the row of one of OpenCV's trackers."""
+    short, files = full_name.removeprefix("Tracker").lower(), FILES.get(full_name, ())
+    write = f"opencv:{short}" + "".join(f",{part}=FILE.onnx" for part in files)
+    return Listed(
+        "opencv", full_name, write, ["files: networks of opencv/opencv_zoo or their authors"] if files else []
+    )
 
 
 def _filters() -> list[Listed]:
