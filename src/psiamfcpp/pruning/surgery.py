@@ -60,7 +60,7 @@ def prune(model: Network, example_inputs: Any, plan: Plan, groups: Mapping[str, 
             n for n, p in single.items() if _difference(model, *cut(model, example_inputs, p, groups), example_inputs)
         ]
         raise UserError(
-            f"without the removed filters of {', '.join(wrong or plan.keep)} {reason}: something there orders or "
+            f"without the removed filters of {', '.join(wrong or plan.keep)}, {reason}: something there orders or "
             "counts channels, as a channel shuffle does; keep these groups whole"
         )
     return pruned
