@@ -15,7 +15,7 @@ import pytest
 from psiamfcpp.errors import UserError
 from psiamfcpp.report.compare import CONVENTIONS, Comparison, collect
 from psiamfcpp.report.page import ShownStrip, data_address, page
-from psiamfcpp.report.plots import curves, png_and_svg
+from psiamfcpp.report.plots import as_files, curves
 from psiamfcpp.report.strips import strips
 from psiamfcpp.report.tables import attributes_csv, by_attribute, figures_csv, latex, rows, sequences_csv
 from psiamfcpp.report.writing import PAGE, write_report
@@ -142,7 +142,7 @@ def test_a_report_is_whole_and_needs_nothing_else(report: list[Path]) -> None:
     names = {path.name for path in files}
     assert {"figures.csv", "sequences.csv", "attributes.csv", "table-dtb70-otb.tex", "frames-dtb70-Car1.jpg"} <= names
     for plot in ("precision-dtb70-otb", "success-dtb70-got10k", "speed-dtb70-otb", "speed-average-otb"):
-        assert {f"{plot}.png", f"{plot}.svg"} <= names
+        assert {f"{plot}.png", f"{plot}.svg", f"{plot}.pdf"} <= names
         assert cv2.imread(str(output / f"{plot}.png")) is not None
     parsed = Page(shown.read_text())
     assert parsed.open == []
@@ -180,9 +180,10 @@ def test_speeds_on_a_gpu_are_shown_where_some_were_published(comparison: Compari
 
 
 def test_the_same_figures_give_the_same_plot(comparison: Comparison) -> None:
-    first, second = (png_and_svg(curves(comparison, "success", "otb", STYLES)) for _ in range(2))
+    first, second = (as_files(curves(comparison, "success", "otb", STYLES)) for _ in range(2))
     assert first == second
-    assert png_and_svg(curves(comparison, "precision", "otb", STYLES))[1] != first[1]
+    assert first["pdf"].startswith(b"%PDF")
+    assert as_files(curves(comparison, "precision", "otb", STYLES))["svg"] != first["svg"]
 
 
 def test_several_benchmarks_come_with_an_overview(results: Path, dtb70: Path) -> None:

@@ -27,6 +27,7 @@ COMMANDS = {
     "evaluate": "run a tracker over a benchmark, or a folder of sequences, and score it",
     "score": "score boxes that trackers left behind, without the frames",
     "report": "set trackers side by side on one page, with tables, plots and frames",
+    "reproduce": "run the paper's tables and figures, with ours beside every published cell",
     "trax": "serve a tracker to vot-toolkit, or any other TraX client",
     "trackers": "list the trackers, and what is missing for each",
     "datasets": "list the benchmarks, where to get them, and what of them is there",

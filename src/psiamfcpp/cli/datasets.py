@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 from typing import Any
 
 from psiamfcpp.cli.arguments import Json
 from psiamfcpp.cli.output import print_json
-from psiamfcpp.datasets import BENCHMARKS, Benchmark
+from psiamfcpp.datasets import BENCHMARKS
 from psiamfcpp.errors import UserError
+from psiamfcpp.recipes.find import find_benchmark
 
 
 def datasets(root: Path | None = None, json: Json = False) -> None:
@@ -25,9 +27,10 @@ def datasets(root: Path | None = None, json: Json = False) -> None:
             "size": benchmark.size,
             "source": benchmark.source,
             "layout": benchmark.layout,
-            "found": None if root is None else _find(benchmark, root),
+            "found": found and dataclasses.asdict(found),
         }
         for benchmark in BENCHMARKS.values()
+        for found in [None if root is None else find_benchmark(benchmark, root)]
     ]
     if json:
         print_json({"datasets": rows})
@@ -38,24 +41,6 @@ def datasets(root: Path | None = None, json: Json = False) -> None:
         print(f"{'':13} {row['layout']}")
         if root is not None:
             print(f"{'':13} {_describe(row['found'])}")
-
-
-def _find(benchmark: Benchmark, root: Path) -> dict[str, Any] | None:
-    """What of a benchmark is in a folder of its name, or in the root itself; None if that is nothing."""
-    folders = [root, *sorted(path for path in root.iterdir() if path.is_dir())]
-    named = [path for path in folders if benchmark.owns(path if path.name else path.resolve())]
-    place = named[0] if named else root
-    found: dict[str, Any] = {"root": str(place), "sequences": 0, "labels": 0, "frames": 0, "problem": None}
-    try:
-        # A plain folder of labels could be anybody's: its name must tell.
-        if not named and not benchmark.label_files(place):
-            return None
-        labels = benchmark.read_labels(place)
-        found |= {"sequences": len(labels), "labels": sum(map(len, labels.values()))}
-        found["frames"] = sum(map(len, benchmark.read(place)))
-    except UserError as error:
-        found["problem"] = str(error)
-    return found
 
 
 def _describe(found: dict[str, Any] | None) -> str:

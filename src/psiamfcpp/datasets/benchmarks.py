@@ -94,7 +94,8 @@ def _uav(part: Uav123, folders: tuple[str, ...], size: int) -> Benchmark:
 BENCHMARKS = {
     benchmark.name: benchmark
     for benchmark in (
-        _uav(UAV123_10FPS, ("UAV123_10fps",), 123),
+        # Its download may unpack into a folder UAV123.
+        _uav(UAV123_10FPS, ("UAV123_10fps", "UAV123"), 123),
         _uav(UAV123, ("UAV123",), 123),
         # UAV20L comes in the download of UAV123, and shares its frames.
         _uav(UAV20L, ("UAV20L", "UAV123"), 20),

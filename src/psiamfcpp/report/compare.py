@@ -73,38 +73,57 @@ def collect(results: list[Path], roots: dict[str, Path] | None = None, allow_mis
     comparisons: list[Comparison] = []
     used: set[Path] = set()
     for name in sorted(places, key=list(BENCHMARKS).index):
-        benchmark, root = BENCHMARKS[name], places[name]
-        if not root.is_dir():
-            raise UserError(f"labels of {name} are not in {root} any more: give --dataset {name} --annotations FOLDER")
-        labels = benchmark.read_labels(root)
-        trackers: dict[str, Files] = {}
-        for folder in results:
-            found = _trackers(folder, benchmark, list(labels))
-            used |= {folder} if found else set()
-            twice = next(iter(found.keys() & trackers.keys()), None)
-            if twice is not None:
-                raise UserError(f"{folder} holds a second tracker called {twice}: rename its folder")
-            trackers |= found
-        if not trackers:
-            raise UserError(f"no folder holds a result of {name}: leave the benchmark out, or add its results")
-        comparisons.append(
-            Comparison(
-                name,
-                root,
-                list(labels),
-                sum(map(len, labels.values())),
-                [
-                    measure(tracker, name, files, labels, CONVENTIONS, allow_missing)
-                    for tracker, files in trackers.items()
-                ],
-                [row for row in published() if row.dataset == name],
-                read_attributes(name, root, list(labels)),
+        if not places[name].is_dir():
+            raise UserError(
+                f"labels of {name} are not in {places[name]} any more: give --dataset {name} --annotations FOLDER"
             )
-        )
+        comparison, holding = compare(name, places[name], results, allow_missing)
+        used |= holding
+        if comparison is None:
+            raise UserError(f"no folder holds a result of {name}: leave the benchmark out, or add its results")
+        comparisons.append(comparison)
     idle = next((folder for folder in results if folder not in used), None)
     if idle is not None:
         raise UserError(f"{idle} holds no result of {' or '.join(places)}: leave it out, or give its --dataset")
     return comparisons
+
+
+def compare(
+    name: str, root: Path, results: list[Path], allow_missing: bool = False
+) -> tuple[Comparison | None, set[Path]]:
+    """Score every tracker in folders of results on one benchmark.
+
+    Args:
+        name: the benchmark.
+        root: its labels.
+        results: folders; one without a result of this benchmark is passed over.
+        allow_missing: score a tracker on the sequences that it has.
+
+    Returns:
+        The comparison, None where no folder holds a result, and the folders that do.
+
+    Raises:
+        UserError: the labels cannot be read, two trackers have one name, or a result cannot be scored.
+    """
+    benchmark = BENCHMARKS[name]
+    labels = benchmark.read_labels(root)
+    trackers: dict[str, Files] = {}
+    used: set[Path] = set()
+    for folder in results:
+        found = _trackers(folder, benchmark, list(labels))
+        used |= {folder} if found else set()
+        twice = next(iter(found.keys() & trackers.keys()), None)
+        if twice is not None:
+            raise UserError(f"{folder} holds a second tracker called {twice}: rename its folder")
+        trackers |= found
+    if not trackers:
+        return None, used
+    measured = [
+        measure(tracker, name, files, labels, CONVENTIONS, allow_missing) for tracker, files in trackers.items()
+    ]
+    rows = [row for row in published() if row.dataset == name]
+    attributes = read_attributes(name, root, list(labels))
+    return Comparison(name, root, list(labels), sum(map(len, labels.values())), measured, rows, attributes), used
 
 
 def average(comparisons: list[Comparison], tracker: str, convention: Convention, figure: str) -> float | None:

@@ -103,17 +103,17 @@ def average_speed(
     return _scatter("average of four benchmarks", points, rows, styles)
 
 
-def png_and_svg(figure: Figure) -> tuple[bytes, bytes]:
-    """A figure as the contents of a PNG and of an SVG file."""
+def as_files(figure: Figure) -> dict[str, bytes]:
+    """Return the contents of a PNG, an SVG and a PDF file of a figure, by suffix; equal figures give equal files."""
     import matplotlib
 
-    files = []
+    files = {}
     with matplotlib.rc_context(_STYLE):
-        for kind in ("png", "svg"):
+        for kind, metadata in (("png", {}), ("svg", {"Date": None}), ("pdf", {"CreationDate": None})):
             buffer = io.BytesIO()
-            figure.savefig(buffer, format=kind, dpi=200, metadata={"Date": None} if kind == "svg" else None)
-            files.append(buffer.getvalue())
-    return files[0], files[1]
+            figure.savefig(buffer, format=kind, dpi=200, metadata=metadata)
+            files[kind] = buffer.getvalue()
+    return files
 
 
 def _figure(height: float) -> tuple[Figure, Axes]:

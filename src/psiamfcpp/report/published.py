@@ -65,6 +65,11 @@ def pruned_layers() -> list[PrunedLayer]:
     ]
 
 
+def gains() -> dict[str, dict[str, float]]:
+    """Return by how much P-SiamFC++ is stated to exceed RACF: ``precision`` and ``auc`` by benchmark (Section 4.2)."""
+    return {figure: dict(_read()["gains"][figure]) for figure in ("precision", "auc")}
+
+
 def _read() -> dict[str, Any]:
     found: dict[str, Any] = json.loads(_FILE.read_text())
     return found

@@ -53,7 +53,7 @@ def strips(comparison: Comparison, styles: dict[str, tuple[str, str]]) -> list[S
     for name in sorted(names, key=lambda name: -_spread(ranked, name))[:_SEQUENCES]:
         shown = [entry for entry in ranked if name in entry.files]
         try:
-            made.append(_strip(by_name[name], shown, styles))
+            made.append(make_strip(by_name[name], shown, styles))
         except UserError:
             # An image that cannot be read costs its strip, not the report.
             continue
@@ -65,7 +65,12 @@ def _spread(entries: list[Measured], name: str) -> float:
     return max(overlaps) - min(overlaps) if overlaps else -1.0
 
 
-def _strip(sequence: Sequence, entries: list[Measured], styles: dict[str, tuple[str, str]]) -> Strip:
+def make_strip(sequence: Sequence, entries: list[Measured], styles: dict[str, tuple[str, str]]) -> Strip:
+    """Return a strip of one sequence, with the boxes of trackers that have a result of it, the best first.
+
+    Raises:
+        UserError: a frame or a result cannot be read.
+    """
     boxes = {entry.tracker: read_result(entry.files[sequence.name], len(sequence)) for entry in entries}
     colours = {tracker: _bgr(styles[tracker][0]) for tracker in boxes}
     frames: dict[int, Image] = {}

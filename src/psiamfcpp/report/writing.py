@@ -13,13 +13,13 @@ from psiamfcpp.geometry import Image
 from psiamfcpp.report import page, plots, tables
 from psiamfcpp.report.compare import Comparison
 from psiamfcpp.report.published import published
-from psiamfcpp.report.strips import strips
+from psiamfcpp.report.strips import Strip, strips
 
 PAGE = "report.html"
 
 
 def write_report(comparisons: list[Comparison], output: Path) -> list[Path]:
-    """Write ``report.html`` and, beside it, CSV and LaTeX tables, plots as PNG and SVG, and strips of frames.
+    """Write ``report.html`` and, beside it, CSV and LaTeX tables, plots as PDF, PNG and SVG, and strips of frames.
 
     Args:
         comparisons: what `psiamfcpp.report.compare.collect` found.
@@ -52,14 +52,13 @@ def write_report(comparisons: list[Comparison], output: Path) -> list[Path]:
             figures[f"speed-{c.dataset}-{kind}"] = plots.speed(c, kind, styles)
         for name, figure in figures.items():
             if figure is not None:
-                files[f"{name}.png"], svgs[name] = plots.png_and_svg(figure)
-                files[f"{name}.svg"] = svgs[name]
+                drawn = plots.as_files(figure)
+                svgs[name] = drawn["svg"]
+                files |= {f"{name}.{suffix}": content for suffix, content in drawn.items()}
     for c in comparisons:
         for found in strips(c, styles):
-            files[f"frames-{c.dataset}-{found.sequence}.jpg"] = _jpeg(found.joined, 92)
-            shown_frames = [(n, page.data_address("jpeg", _jpeg(frame, 80))) for n, frame in found.frames.items()]
-            chips = [("label", "#ffffff"), *((name, styles[name][0]) for name in found.trackers)]
-            frames[c.dataset].append(page.ShownStrip(found.sequence, chips, shown_frames))
+            files[f"frames-{c.dataset}-{found.sequence}.jpg"] = jpeg(found.joined, 92)
+            frames[c.dataset].append(shown_strip(found, styles))
     files = {name: content for name, content in files.items() if content}
     shown = page.page(comparisons, averages, svgs, frames, files)
     for name, content in files.items():
@@ -69,5 +68,13 @@ def write_report(comparisons: list[Comparison], output: Path) -> list[Path]:
     return [output / PAGE, *(output / name for name in files)]
 
 
-def _jpeg(image: Image, quality: int) -> bytes:
+def shown_strip(strip: Strip, styles: dict[str, tuple[str, str]]) -> page.ShownStrip:
+    """Return a strip as the page shows it."""
+    frames = [(number, page.data_address("jpeg", jpeg(frame, 80))) for number, frame in strip.frames.items()]
+    chips = [("label", "#ffffff"), *((name, styles[name][0]) for name in strip.trackers)]
+    return page.ShownStrip(strip.sequence, chips, frames)
+
+
+def jpeg(image: Image, quality: int) -> bytes:
+    """Return an image ``(H, W, 3)`` uint8, BGR, as a JPEG file."""
     return bytes(cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, quality])[1])

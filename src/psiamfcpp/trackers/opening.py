@@ -79,12 +79,14 @@ class TrackerChoice:
     """where modules are searched first"""
     checksum: str = ""
     """of a model's files: other files under the same name are another tracker"""
+    label: str = ""
+    """what tables and folders of results call it instead of its name; it decides no box"""
 
     @property
     def name(self) -> str:
         """What tables and folders of results call it."""
-        if self.alias:
-            return self.alias
+        if self.label or self.alias:
+            return self.label or self.alias
         path = Path(self.entry)
         named = {
             _MODEL: path.stem if path.is_file() else path.name,
