@@ -275,7 +275,8 @@ def _run_ratios(
 ) -> None:
     """Measure the networks of Table 4 that are not measured yet."""
     from psiamfcpp.recipes.rank import rank
-    from psiamfcpp.recipes.sensitivity import SHORT, Cell, Setup, measure_all
+    from psiamfcpp.recipes.sensitivity import Cell, Setup, measure_all
+    from psiamfcpp.training.options import SHORT
 
     model, options = (
         MODELS[BASELINE],
