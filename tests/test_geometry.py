@@ -20,6 +20,7 @@ from psiamfcpp.geometry import (
     from_centre,
     from_corners,
     overlap,
+    to_centre,
     to_corners,
 )
 
@@ -130,3 +131,9 @@ def test_context_side() -> None:
 def test_context_holds_the_target_and_has_no_preferred_axis(w: float, h: float) -> None:
     assert context_side(w, h) == pytest.approx(context_side(h, w))
     assert context_side(w, h) >= (w + h) * 0.86  # sqrt(3) / 2 for a line, 1 for a square
+
+
+def test_centre_and_size_are_the_inverse_of_from_centre() -> None:
+    # 40 columns from 10 on: 10 to 49, so that the centre lies between 29 and 30
+    assert to_centre((10, 20, 40, 31)) == (29.5, 35.0, 40.0, 31.0)
+    assert from_centre(*to_centre((10, 20, 40, 31))) == (10, 20, 40, 31)

@@ -31,6 +31,12 @@ def from_centre(cx: float, cy: float, w: float, h: float) -> Box:
     return (cx - (w - 1) / 2, cy - (h - 1) / 2, w, h)
 
 
+def to_centre(box: ArrayLike) -> tuple[float, float, float, float]:
+    """Return centre and size ``(cx, cy, w, h)`` of a box ``(x, y, w, h)``; the inverse of `from_centre`."""
+    (cx, cy), (_, _, w, h) = centre(box), np.asarray(box, dtype=np.float64)
+    return float(cx), float(cy), float(w), float(h)
+
+
 def to_corners(boxes: ArrayLike) -> FloatArray:
     """Corner form ``(x0, y0, x1, y1)``, last column and row included, of boxes ``(..., 4)``."""
     b = np.asarray(boxes, dtype=np.float64)

@@ -11,7 +11,7 @@ from psiamfcpp.crop import mean_colour, target_crop
 from psiamfcpp.datasets import Sequence
 from psiamfcpp.demo.clip import render
 from psiamfcpp.errors import UserError
-from psiamfcpp.geometry import Image, centre
+from psiamfcpp.geometry import Image, to_centre
 from psiamfcpp.spec import ModelSpec
 
 # How far, in target sides, and by what factor the place that the tracker looks about is off.
@@ -76,14 +76,9 @@ def _crops(
     first: Image, box: ArrayLike, later: Image, later_box: ArrayLike, spec: ModelSpec, rng: np.random.Generator
 ) -> Pair:
     fill, size = mean_colour(first), spec.template_size
-    template = target_crop(first, _target(box), size, size, fill)
-    cx, cy, w, h = _target(later_box)
+    template = target_crop(first, to_centre(box), size, size, fill)
+    cx, cy, w, h = to_centre(later_box)
     dx, dy = rng.uniform(-_SHIFT, _SHIFT, 2)
     grow_w, grow_h = _SCALE ** rng.uniform(-1, 1, 2)
     around = (cx + dx * w, cy + dy * h, w * grow_w, h * grow_h)
     return Pair(template, target_crop(later, around, spec.search_size, size, fill))
-
-
-def _target(box: ArrayLike) -> tuple[float, float, float, float]:
-    (cx, cy), (_, _, w, h) = centre(box), np.asarray(box, dtype=np.float64)
-    return float(cx), float(cy), float(w), float(h)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from psiamfcpp.datasets import Sequence
 from psiamfcpp.errors import UserError
-from psiamfcpp.geometry import FloatArray, Image, centre, from_centre, overlap
+from psiamfcpp.geometry import FloatArray, Image, centre, from_centre, overlap, to_centre
 from psiamfcpp.spec import Calibration
 from psiamfcpp.trackers.siamfcpp import Tracker
 from psiamfcpp.trackers.siamfcpp.confidence import confidence
@@ -86,7 +86,7 @@ def gather(tracker: Tracker, sequences: list[Sequence], seed: int = 0) -> Looks:
         picks = np.unique(np.linspace(1, len(frames) - 1, _FRAMES_A_CLIP).astype(int))
         for pick in picks:
             image, box = sequence.frame(frames[pick]), sequence.boxes[frames[pick]]
-            before = _target(sequence.boxes[frames[pick - 1]])
+            before = Target(*to_centre(sequence.boxes[frames[pick - 1]]))
             found, apart = tracker.look(image, before)
             t = found.target
             hit = bool(overlap(from_centre(t.cx, t.cy, t.w, t.h), box) >= _FOUND_OVERLAP)
@@ -159,7 +159,7 @@ def _rows(looks: Looks, rows: NDArray[np.bool_]) -> Looks:
 
 def _without(image: Image, box: FloatArray, other: Image, rng: Generator) -> Iterator[tuple[Image, Target]]:
     """Scenes like the target's without the target, and where to look in them."""
-    target = _target(box)
+    target = Target(*to_centre(box))
     covered = _covered(image, box, rng)
     if covered is not None:
         yield covered, target
@@ -193,11 +193,6 @@ def _covered(image: Image, box: FloatArray, rng: Generator) -> Image | None:
 def _somewhere(image: Image, rng: Generator) -> tuple[float, float]:
     height, width = image.shape[:2]
     return float(rng.uniform(0.1, 0.9) * width), float(rng.uniform(0.1, 0.9) * height)
-
-
-def _target(box: FloatArray) -> Target:
-    cx, cy = centre(box)
-    return Target(float(cx), float(cy), float(box[2]), float(box[3]))
 
 
 def _logistic(features: FloatArray, labels: FloatArray, weights: FloatArray) -> tuple[float, float, float]:
