@@ -54,7 +54,12 @@ class AutoTrackConstants:
 
 
 class AutoTrack:
-    """STRCF's filter whose spatial and temporal weights follow the change of the response between two frames."""
+    """STRCF's filter whose spatial and temporal weights follow the change of the response between two frames.
+
+    A frame counts as occluded where the response changed by thousands of times its former value. That happens in cells
+    where the former value is nearly zero, so rounding decides it. A frame trained or left out moves later boxes by
+    about a pixel; boxes equal to the authors' over whole sequences cannot be had.
+    """
 
     def __init__(self, frame: Image, box: Box, constants: AutoTrackConstants):
         self._constants = c = constants
