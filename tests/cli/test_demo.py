@@ -24,6 +24,7 @@ def small(rendered_clip: list[DemoFrame], monkeypatch: pytest.MonkeyPatch) -> No
     monkeypatch.setattr("psiamfcpp.cli.demo.render", shown)
 
 
+@pytest.mark.slow
 def test_demo_writes_a_video_and_says_how_well_it_went(run: Run, tmp_path: Path, tiny_model: Path) -> None:
     output = tmp_path / "demo.mp4"
     ended = run("demo", "--model", tiny_model, "--frames", 4, "--output", output, "--json")

@@ -6,6 +6,8 @@ import json
 from collections.abc import Callable
 from pathlib import Path
 
+import pytest
+
 from psiamfcpp.models import SiamFCpp, load, save
 from psiamfcpp.spec import FULL_WIDTHS, ModelSpec
 
@@ -15,6 +17,7 @@ PAPER = "--optimizer sgd --lr 0.08 --warmup 0.05 --final-lr 1.25e-5 --weight-dec
 QUICK = "--steps 3 --batch 2 --search-size 191 --workers 0 --no-bf16 --held-out-every 0"
 
 
+@pytest.mark.slow
 def test_a_pruned_model_learns_from_the_unpruned_one(
     run: Run, tiny_model: Path, blob_sequence: Callable[..., Path], tmp_path: Path
 ) -> None:

@@ -97,6 +97,7 @@ def test_rank_plan_prune_and_follow(run: Run, tiny_model: Path, clips: Path, tmp
     assert "no folder" in run(*prune, "-o", tmp_path / "missing" / "fitted.safetensors").refused()
 
 
+@pytest.mark.slow
 def test_ranking_goes_on_after_a_kill_and_with_more_images(
     run: Run, tiny_model: Path, clips: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -180,6 +181,7 @@ def test_a_budget_of_multiply_accumulates_is_met_closely(run: Run, full_table: P
     assert facts["after"]["widths"]["neck.cls"] == 256
 
 
+@pytest.mark.slow
 def test_a_budget_of_time_halves_its_way(run: Run, full_table: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from psiamfcpp.models.cost import search_macs
     from psiamfcpp.recipes import plan
@@ -237,6 +239,7 @@ def test_a_plan_times_the_graphs_that_would_be_shipped(
     assert opened == [(engine, precision)]
 
 
+@pytest.mark.slow
 def test_plans_by_every_criterion(
     run: Run, tiny_model: Path, clips: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

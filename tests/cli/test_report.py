@@ -23,6 +23,7 @@ def results(run: Run, blob_engine: Any, blob_sequence: Callable[..., Path], tmp_
     return tmp_path / "r"
 
 
+@pytest.mark.slow
 def test_what_evaluate_leaves_is_all_that_a_report_needs(run: Run, results: Path, tmp_path: Path) -> None:
     (results / "folder" / "blob" / "car2.txt").unlink()
     assert "tracker blob lacks 1 of 2 sequences" in run("report", results, "-o", tmp_path / "out").refused()

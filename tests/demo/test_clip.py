@@ -59,6 +59,7 @@ def test_the_target_is_where_the_box_says(clip: list[DemoFrame]) -> None:
     assert np.median(hidden) > 80
 
 
+@pytest.mark.slow
 def test_the_box_is_tight() -> None:
     # on a grey road the target is the only thing with a strong colour
     for frame in islice(render(seed=0, frames=40), 0, 40, 6):

@@ -55,6 +55,7 @@ def test_it_gives_the_boxes_of_the_package(
     assert_allclose(found, expected, atol=0.02)
 
 
+@pytest.mark.slow
 def test_not_even_where_boxes_hang_on_single_roundings_do_they_part() -> None:
     # The graphs in 8 bits, and a piece of ground as target: what differs in the last digit differs by pixels soon.
     sys.path.insert(0, str(SCRIPT.parent))

@@ -52,6 +52,7 @@ def equal(a: Batch, b: Batch) -> bool:
     return all(torch.equal(getattr(a, k), getattr(b, k)) for k in ("template", "search", "corners", "present"))
 
 
+@pytest.mark.slow
 def test_a_loader_process_changes_nothing(scenes: list[Sequence]):
     sampler = PairSampler(scenes, PairOptions(search_size=191, negatives=0.3), seed=2)
     here = list(numbered_batches(sampler, 2, 1, 4, workers=0))
