@@ -41,6 +41,11 @@ def test_benchmarks_and_annotations_come_in_pairs(run: Run, results: Path, tmp_p
     assert message == "--dataset names 1 benchmarks, but --annotations 0 folders"
 
 
+def test_an_unknown_sequence_is_named(run: Run, results: Path, tmp_path: Path) -> None:
+    message = run("report", results, "-o", tmp_path / "out", "--sequences", "car1", "car9").refused()
+    assert message.startswith("sequence car9 is in none of the benchmarks")
+
+
 def test_no_results(run: Run, tmp_path: Path) -> None:
     assert run("report", "-o", tmp_path / "out").refused().startswith("no folder of results is named")
     assert not (tmp_path / "out").exists()
@@ -63,4 +68,4 @@ def test_published_boxes(run: Run, shared_data: Path, tmp_path: Path) -> None:
     text = (tmp_path / "out" / "report.html").read_text()
     for shown in ("AutoTrack", ">0.718<", ">0.449<", "37084 labels, of which 79 are invalid under otb"):
         assert shown in text
-    assert r"AutoTrack & \textbf{0.718}" in (tmp_path / "out" / "table-uavdt-otb.tex").read_text()
+    assert r"AutoTrack$^\ddagger$ & \textbf{0.718}" in (tmp_path / "out" / "table-uavdt-otb.tex").read_text()

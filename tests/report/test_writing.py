@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import dataclasses
 import io
+import math
 import re
 from html.parser import HTMLParser
 from pathlib import Path
@@ -12,12 +13,24 @@ from pathlib import Path
 import cv2
 import pytest
 
+from psiamfcpp.datasets.boxes import read_boxes
 from psiamfcpp.errors import UserError
 from psiamfcpp.report.compare import CONVENTIONS, Comparison, collect
+from psiamfcpp.report.layout import as_latex
 from psiamfcpp.report.page import ShownStrip, data_address, page
-from psiamfcpp.report.plots import as_files, curves
+from psiamfcpp.report.plots import as_files, attribute_radar, curves, overlap_over_time
 from psiamfcpp.report.strips import strips
-from psiamfcpp.report.tables import attributes_csv, by_attribute, figures_csv, latex, rows, sequences_csv
+from psiamfcpp.report.tables import (
+    attribute_table,
+    attributes_csv,
+    by_attribute,
+    difference_table,
+    differences_csv,
+    figures_csv,
+    figures_table,
+    rows,
+    sequences_csv,
+)
 from psiamfcpp.report.writing import PAGE, write_report
 
 from .conftest import OTHER
@@ -62,7 +75,7 @@ def table(text: str) -> list[dict[str, str]]:
 
 def test_rows_say_what_is_measured_and_what_is_published(comparison: Comparison) -> None:
     otb, got10k = rows(comparison, "otb"), rows(comparison, "got10k")
-    assert [(row["tracker"], row["kind"]) for row in otb] == [(OTHER, "measured"), ("blob", "measured")]
+    assert [(row["tracker"], row["kind"]) for row in otb] == [(OTHER, "scored"), ("blob", "measured")]
     # those of the paper follow got10k, and are never shown with the other convention
     assert [(row["tracker"], row["kind"]) for row in got10k[2:]] == [
         ("SiamFC++", "published"),
@@ -99,8 +112,9 @@ def test_csv(comparison: Comparison) -> None:
 
 
 def test_latex(comparison: Comparison) -> None:
-    text = latex(comparison, "got10k")
-    assert r"K\&F\_<1> & \textbf{" in text
+    text = as_latex(figures_table(comparison, "got10k"), "x")
+    assert r"K\&F\_\textless{}1\textgreater{}$^\ddagger$ & 1.000 & " in text
+    assert r"\textbf{" in text
     assert re.search(
         r"P-SiamFC\+\+\$\^\\dagger\$ & 0\.803 & -- & -- & -- & 45\.6 & 238\.2 \\\\ % Wang et al\. 2022, Table 3", text
     )
@@ -108,7 +122,47 @@ def test_latex(comparison: Comparison) -> None:
     body = [line for line in text.splitlines() if line.partition("%")[0].rstrip().endswith(r"\\")]
     assert {line.partition(" %")[0].replace(r"\&", "").count("&") for line in body} == {6}
     # under otb there are no published rows here, and so no speed on a GPU
-    assert "FPS (GPU)" not in latex(comparison, "otb")
+    assert "FPS (GPU)" not in as_latex(figures_table(comparison, "otb"), "x")
+    assert "& 80.3 &" in as_latex(figures_table(comparison, "got10k", percent=True), "x")
+
+
+def test_columns_in_which_nothing_stands_are_left_out(comparison: Comparison) -> None:
+    others = [entry for entry in comparison.measured if entry.tracker == OTHER]
+    shown = figures_table(dataclasses.replace(comparison, measured=others, published=[]), "otb")
+    assert list(shown.columns) == ["Tracker", "Precision", "Norm. precision", "AUC", "Success@0.5", "Source"]
+
+
+def test_attributes_for_a_paper(comparison: Comparison) -> None:
+    shown = attribute_table(comparison, "otb")
+    assert [row.name for row in shown.rows] == ["scale variation (2)", "aspect ratio variation (1)"]
+    found = by_attribute(comparison, comparison.measured[0], "otb")
+    assert shown.rows[0].cells[0].text == f"{found['scale variation']['auc']:.3f}"
+
+
+def test_differences_of_few_sequences_are_said_to_mean_nothing(comparison: Comparison) -> None:
+    shown = difference_table(comparison, "otb")
+    assert "2 sequences are too few for intervals: these differences mean nothing by themselves" in shown.caption
+    ((name, cells, _),) = shown.rows
+    assert (name, cells[1].text) == ("blob", "too few sequences")
+    (row, *_) = table(differences_csv([comparison]))
+    assert row["verdict"] == "too few sequences"
+
+
+def test_a_radar_needs_three_attributes(comparison: Comparison) -> None:
+    assert attribute_radar(comparison, "otb", STYLES) is None
+    three = dataclasses.replace(comparison, attributes={key: ["Car1", "Car2"] for key in "abc"})
+    figure = attribute_radar(three, "otb", STYLES)
+    assert figure is not None
+    assert [tick.get_text() for tick in figure.axes[0].get_xticklabels()] == ["a (2)", "b (2)", "c (2)"]
+
+
+def test_overlap_over_time_has_gaps_where_there_is_no_label(comparison: Comparison) -> None:
+    truth = read_boxes(comparison.root / "Car2" / "groundtruth_rect.txt")
+    figure = overlap_over_time(comparison, "Car2", truth, STYLES)
+    assert figure is not None
+    lines = [line.get_ydata() for line in figure.axes[0].lines]
+    assert len(lines) == 2
+    assert all(len(line) == 5 and line[0] == 1 and math.isnan(line[-1]) for line in lines)
 
 
 # frames
@@ -126,6 +180,10 @@ def test_strips_show_every_tracker_in_its_colour(comparison: Comparison) -> None
         assert strip.joined.shape[1] == 4 * 480 + 3 * 6
 
 
+def test_strips_are_of_the_wanted_sequences(comparison: Comparison) -> None:
+    assert [strip.sequence for strip in strips(comparison, STYLES, ["Car2", "S0101"])] == ["Car2"]
+
+
 def test_an_unreadable_frame_costs_its_strip_alone(comparison: Comparison) -> None:
     (comparison.root / "Car1" / "img" / "00003.png").write_bytes(b"no image")
     assert [strip.sequence for strip in strips(comparison, STYLES)] == ["Car2"]
@@ -141,7 +199,11 @@ def test_a_report_is_whole_and_needs_nothing_else(report: list[Path]) -> None:
     assert {path.name for path in output.iterdir()} == {PAGE, *(path.name for path in files)}
     names = {path.name for path in files}
     assert {"figures.csv", "sequences.csv", "attributes.csv", "table-dtb70-otb.tex", "frames-dtb70-Car1.jpg"} <= names
-    for plot in ("precision-dtb70-otb", "success-dtb70-got10k", "speed-dtb70-otb", "speed-average-otb"):
+    assert {"attributes-dtb70-otb.tex", "differences-dtb70-got10k.tex", "differences.csv"} <= names
+    # the paper's averages are of other benchmarks
+    assert "speed-average-otb.png" not in names
+    assert "Published averages" not in shown.read_text()
+    for plot in ("precision-dtb70-otb", "success-dtb70-got10k", "speed-dtb70-otb", "overlap-dtb70-Car1"):
         assert {f"{plot}.png", f"{plot}.svg", f"{plot}.pdf"} <= names
         assert cv2.imread(str(output / f"{plot}.png")) is not None
     parsed = Page(shown.read_text())
@@ -174,8 +236,8 @@ def test_names_from_outside_stay_text(comparison: Comparison, hostile: str) -> N
 def test_speeds_on_a_gpu_are_shown_where_some_were_published(comparison: Comparison) -> None:
     curves = {f"{w}-dtb70-{kind}": b"" for w in ("precision", "success") for kind in CONVENTIONS}
     text = Page(page([comparison], [], curves, {}, [])).text
-    # the paper's rows on DTB70 follow got10k, so only its table has the column; the averages have one of their own
-    assert text.count("FPS (GPU)") == 2
+    # the paper's rows on DTB70 follow got10k, so only its table has the column
+    assert text.count("FPS (GPU)") == 1
     assert "238.2" in text
 
 

@@ -20,6 +20,8 @@ def report(
     dataset: tuple[BenchmarkName, ...] = (),
     annotations: tuple[Path, ...] = (),
     allow_missing: bool = False,
+    percent: bool = False,
+    sequences: tuple[str, ...] = (),
 ) -> None:
     """Set trackers side by side: a page with figures, plots and frames, and its tables and plots as files.
 
@@ -29,10 +31,11 @@ def report(
         dataset: benchmarks that boxes of others are of; what `evaluate` wrote says so itself.
         annotations: labels of each of these benchmarks: its folder, or a plain one of SEQUENCE.txt.
         allow_missing: score a tracker on the sequences that it has, and say how many are missing.
+        percent: show shares as percent instead of fractions, on the page and in LaTeX.
+        sequences: show frames and overlap over time of these; by default those on which trackers differ most.
     """
     if len(dataset) != len(annotations):
         raise UserError(f"--dataset names {len(dataset)} benchmarks, but --annotations {len(annotations)} folders")
-    page, *files = make_report(
-        results, output, dict(zip(dataset, annotations, strict=True)), allow_missing, Watch(notes.print)
-    )
+    labels: dict[str, Path] = dict(zip(dataset, annotations, strict=True))
+    page, *files = make_report(results, output, labels, allow_missing, percent, sequences, Watch(notes.print))
     print(f"{page} and {len(files)} files beside it")

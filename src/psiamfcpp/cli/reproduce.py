@@ -12,7 +12,7 @@ from psiamfcpp.cli.output import notes, print_json, watching
 from psiamfcpp.recipes.reproduce import Reproduced, there
 from psiamfcpp.recipes.reproduce import reproduce as run_all
 from psiamfcpp.report.compare import title
-from psiamfcpp.report.layout import Cell, Row, Table, as_text, number
+from psiamfcpp.report.layout import NONE, Cell, Row, Table, as_text
 
 
 def reproduce(
@@ -71,19 +71,22 @@ def _plan(done: Reproduced, jobs: int) -> Table:
     rows = [
         Row(
             title(part.dataset),
-            [Cell(part.tracker), Cell(str(part.sequences)), Cell(str(part.frames)), _hours(part.seconds)],
+            [Cell(part.tracker), Cell(str(part.sequences)), Cell(str(part.frames)), Cell(_duration(part.seconds))],
         )
         for part in done.planned
     ]
     total = sum(part.seconds or 0.0 for part in done.planned)
-    side = f", about {_hours(total / jobs).text} h with {jobs} side by side" if jobs > 1 else ""
-    caption = f"To be run: about {_hours(total).text} h in one process{side}, from a few frames of each tracker."
-    columns = ["Benchmark", "Tracker", "Sequences", "Frames", "Hours"]
+    side = f", about {_duration(total / jobs)} with {jobs} side by side" if jobs > 1 else ""
+    caption = f"To be run: about {_duration(total)} in one process{side}, from a few frames of each tracker."
+    columns = ["Benchmark", "Tracker", "Sequences", "Frames", "Time"]
     return Table(caption if rows else "Nothing is left to be run.", columns, rows, prose=["Tracker"])
 
 
-def _hours(seconds: float | None) -> Cell:
-    return number(None if seconds is None else seconds / 3600, digits=2)
+def _duration(seconds: float | None) -> str:
+    if seconds is None:
+        return NONE
+    hours, minutes = divmod(round(seconds / 60), 60)
+    return f"{hours} h {minutes:02} min" if hours else f"{minutes} min" if minutes else f"{seconds:.0f} s"
 
 
 def _as_json(done: Reproduced) -> dict[str, object]:

@@ -16,6 +16,8 @@ def report(
     output: Path,
     annotations: Mapping[str, Path] | None = None,
     allow_missing: bool = False,
+    percent: bool = False,
+    sequences: Sequence[str] = (),
     watch: Watch = QUIET,
 ) -> list[Path]:
     """Write a page with figures, plots and frames of trackers, and its tables and plots as files.
@@ -25,6 +27,8 @@ def report(
         output: folder to write report.html and the files beside it to.
         annotations: labels by benchmark, for boxes of others; what `evaluate` wrote names its own.
         allow_missing: score a tracker on the sequences that it has.
+        percent: show shares as percent, on the page and in LaTeX.
+        sequences: those to show frames and overlaps of; by default those on which trackers differ most.
         watch: receives one line about each tracker that lacks sequences.
 
     Returns:
@@ -44,4 +48,8 @@ def report(
             if entry.missing:
                 count = f"{entry.missing} of {len(c.sequences)}"
                 watch.note(f"{entry.tracker}: {count} sequences of {c.dataset} are missing and do not count")
-    return write_report(comparisons, output)
+    known = {name for c in comparisons for name in c.sequences}
+    unknown = next((name for name in sequences if name not in known), None)
+    if unknown is not None:
+        raise UserError(f"sequence {unknown} is in none of the benchmarks: sequences.csv of a report lists them")
+    return write_report(comparisons, output, percent, sequences)

@@ -13,11 +13,15 @@ NONE = "\u2013"
 _RANKS = ("first", "second", "third")
 # A table of more columns than this is scaled down to the width of the page.
 _WIDE = 8
+_REMARKS = ("Source", "Remark")
 _LATEX = {
     "\\": r"\textbackslash{}",
     "^": r"\textasciicircum{}",
     "~": r"\textasciitilde{}",
     NONE: "--",
+    "<": r"\textless{}",
+    ">": r"\textgreater{}",
+    "|": r"\textbar{}",
     **{sign: f"\\{sign}" for sign in "&%$#_{}"},
 }
 _MARKS = {"published": r"$^\dagger$", "scored": r"$^\ddagger$"}
@@ -88,11 +92,11 @@ def as_latex(table: Table, label: str) -> str:
     """Return a table for a paper, without empty columns; the best of each ranked column is bold.
 
     Args:
-        table: what to show; a last column of prose becomes comments after the rows.
+        table: what to show; a last column of sources or remarks becomes comments.
         label: what a paper refers to it by, without its ``tab:``.
     """
     rows, notes = table.rows, [""] * len(table.rows)
-    if table.columns[-1] in table.prose:
+    if table.columns[-1] in _REMARKS:
         notes = [row.cells[-1].text for row in rows]
         rows = [row._replace(cells=[*row.cells[:-1], Cell("")]) for row in rows]
     shown = without_empty_columns(replace(table, rows=rows))

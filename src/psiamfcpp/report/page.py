@@ -11,14 +11,13 @@ from psiamfcpp.evaluation.metrics import Convention
 from psiamfcpp.report.compare import PAPER, Comparison, average
 from psiamfcpp.report.layout import NONE, Cell, Row, Table, number, ranks
 from psiamfcpp.report.published import Published, averaged, pruned_layers
-from psiamfcpp.report.tables import FIGURES, by_attribute, rows, speed_columns
+from psiamfcpp.report.tables import by_attribute, difference_table, figures_table
 from psiamfcpp.version import __version__
 
 MEANINGS: dict[Convention, str] = {
     "otb": "a row without a valid label counts as a precision hit and an overlap miss",
     "got10k": "rows without a label are dropped",
 }
-_TITLES = dict(zip(FIGURES, ("Precision", "Norm. precision", "AUC", "Success@0.5"), strict=True))
 
 
 class ShownStrip(NamedTuple):
@@ -35,16 +34,18 @@ def page(
     plots: Mapping[str, bytes],
     strips: Mapping[str, list[ShownStrip]],
     files: Iterable[str],
+    percent: bool = False,
 ) -> str:
     """Return the page.
 
     Args:
         comparisons: what to show, a section per benchmark.
-        averages: the paper's averages over its benchmarks.
+        averages: the paper's averages over its benchmarks; none where these were not all evaluated.
         plots: SVG by file name without its suffix: ``precision-<dataset>-<convention>``, ``success-...``,
-            ``speed-...``, with ``average`` among the datasets.
+            ``speed-...``, ``attributes-...``, with ``average`` among the datasets; ``overlap-<dataset>-<sequence>``.
         strips: strips of frames by benchmark.
         files: names of the files beside the page.
+        percent: show shares as percent.
     """
     return render(
         "page.html.j2",
@@ -52,7 +53,9 @@ def page(
         comparisons=comparisons,
         overview=_overview,
         plots=lambda dataset, kind: _plots(plots, dataset, kind),
-        figures=_figures,
+        overlaps=lambda dataset: _overlaps(plots, dataset),
+        figures=lambda c, kind: figures_table(c, kind, percent),
+        differences=difference_table,
         attributes=_attributes,
         sequences=_sequences,
         ratios={c.dataset: _pruning_ratios(c.dataset) for c in comparisons},
@@ -80,8 +83,17 @@ def data_address(kind: str, content: bytes) -> str:
 
 def _plots(plots: Mapping[str, bytes], dataset: str, kind: Convention) -> list[tuple[str, str]]:
     """Return what each plot of a benchmark shows, and its address."""
-    found = {what: plots.get(f"{what}-{dataset}-{kind}") for what in ("precision", "success", "speed")}
+    found = {what: plots.get(f"{what}-{dataset}-{kind}") for what in ("precision", "success", "speed", "attributes")}
     return [(what, data_address("svg+xml", content)) for what, content in found.items() if content is not None]
+
+
+def _overlaps(plots: Mapping[str, bytes], dataset: str) -> list[tuple[str, str]]:
+    start = f"overlap-{dataset}-"
+    return [
+        (f"{name.removeprefix(start)}: overlap over time", data_address("svg+xml", content))
+        for name, content in plots.items()
+        if name.startswith(start)
+    ]
 
 
 def _overview(comparisons: list[Comparison], kind: Convention) -> Table:
@@ -91,32 +103,10 @@ def _overview(comparisons: list[Comparison], kind: Convention) -> Table:
     trackers.sort(key=lambda name: -(found[name][-2] or -1))
     columns = [ranks(column) for column in zip(*(found[name] for name in trackers), strict=True)]
     return Table(
-        f"Measured, convention {kind}.",
+        f"Convention {kind}.",
         ["Tracker"] + ["Prec.", "AUC"] * len(groups),
         [Row(t, [number(v, columns[i][row]) for i, v in enumerate(found[t])]) for row, t in enumerate(trackers)],
         groups=[*((c.title, 2) for c in comparisons), ("Average", 2)],
-    )
-
-
-def _figures(comparison: Comparison, kind: Convention) -> Table:
-    listed = rows(comparison, kind)
-    speeds = speed_columns(listed)
-    keys = _TITLES | speeds
-    marks = {key: ranks([row[key] if row["kind"] == "measured" else None for row in listed]) for key in keys}
-    elsewhere = sum(row.convention not in (kind, None) for row in comparison.published)
-    note = f" {elsewhere} published rows follow the other convention, and are shown with it." if elsewhere else ""
-    return Table(
-        f"Convention {kind}.{note}",
-        ["Tracker", *keys.values(), "Source"],
-        [
-            Row(
-                row["tracker"],
-                [number(row[key], marks[key][i], 1 if key in speeds else 3) for key in keys] + [Cell(row["source"])],
-                row["kind"],
-            )
-            for i, row in enumerate(listed)
-        ],
-        prose=["Source"],
     )
 
 
@@ -124,7 +114,7 @@ def _attributes(comparison: Comparison, kind: Convention) -> Table:
     found = {entry.tracker: by_attribute(comparison, entry, kind) for entry in comparison.measured}
     note = "Precision / AUC over the sequences of each attribute; their number in brackets. The benchmark's files do "
     note += "not name their columns: see the documentation on attributes."
-    named = comparison.attributes.items()
+    named = [(name, of) for name, of in comparison.attributes.items() if of]
     return _grid(note, found, {f"{name} ({len(of)})": [f.get(name) for f in found.values()] for name, of in named})
 
 

@@ -9,8 +9,11 @@ import numpy as np
 
 from psiamfcpp.evaluation.measured import Measured
 from psiamfcpp.evaluation.metrics import OVERLAP_THRESHOLDS, PRECISION_THRESHOLDS, Convention
+from psiamfcpp.evaluation.results import read_result
+from psiamfcpp.geometry import FloatArray, overlap
 from psiamfcpp.report.compare import PAPER, Comparison, average
 from psiamfcpp.report.published import Published, averaged
+from psiamfcpp.report.tables import by_attribute
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -20,8 +23,12 @@ if TYPE_CHECKING:
 COLOURS = (
     "#d62728", "#1f5fbf", "#2a9d3f", "#e69f00", "#8e44ad", "#0097a7", "#8c564b", "#e377c2", "#707070", "#a8a800",
 )  # fmt: skip
+Styles = dict[str, tuple[str, str]]
+"""colour and line style by tracker"""
 _DASHES = ("-", "--", ":", "-.")
 _REAL_TIME = 30
+# More lines than these cannot be told apart.
+_RADAR, _LINES = 8, 5
 _FPS_TICKS = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000)
 _NAME_SIZE = 8
 # in points, the likeliest first
@@ -40,7 +47,7 @@ _STYLE: Any = {
 }
 
 
-def colours(comparisons: list[Comparison]) -> dict[str, tuple[str, str]]:
+def colours(comparisons: list[Comparison]) -> Styles:
     """A colour and a line style a tracker, the same in every picture of a report; the best come first."""
     ranks: dict[str, list[float]] = {}
     for comparison in comparisons:
@@ -56,7 +63,7 @@ def curves(
     comparison: Comparison,
     kind: Literal["precision", "success"],
     convention: Convention,
-    styles: dict[str, tuple[str, str]],
+    styles: Styles,
 ) -> Figure:
     """Curves of all trackers on one benchmark, ranked by the figure in brackets.
 
@@ -81,7 +88,7 @@ def curves(
     return figure
 
 
-def speed(comparison: Comparison, convention: Convention, styles: dict[str, tuple[str, str]]) -> Figure | None:
+def speed(comparison: Comparison, convention: Convention, styles: Styles) -> Figure | None:
     """Precision against frames a second on a CPU; None where no tracker's speed is known."""
     rows = [row for row in comparison.published if row.convention in (convention, None)]
     points = [_measured_point(entry, convention) for entry in comparison.measured if entry.speed]
@@ -89,7 +96,7 @@ def speed(comparison: Comparison, convention: Convention, styles: dict[str, tupl
 
 
 def average_speed(
-    comparisons: list[Comparison], rows: list[Published], convention: Convention, styles: dict[str, tuple[str, str]]
+    comparisons: list[Comparison], rows: list[Published], convention: Convention, styles: Styles
 ) -> Figure | None:
     """The same over the paper's four benchmarks: its own figures, and ours where all four were run."""
     points = []
@@ -103,12 +110,67 @@ def average_speed(
     return _scatter("average of four benchmarks", points, rows, styles)
 
 
+def attribute_radar(comparison: Comparison, convention: Convention, styles: Styles) -> Figure | None:
+    """Return the AUC of the best trackers by attribute, on one axis each; None with fewer than three attributes."""
+    ranked = sorted(comparison.measured, key=lambda entry: -entry.mean[convention].figures["auc"])[:_RADAR]
+    found = {entry.tracker: by_attribute(comparison, entry, convention) for entry in ranked}
+    names = [name for name in comparison.attributes if all(name in figures for figures in found.values())]
+    if len(names) < 3:
+        return None
+    figure, axes = _figure(height=4.6, projection="polar")
+    angles = np.linspace(0, 2 * np.pi, len(names), endpoint=False)
+    for tracker, figures in found.items():
+        values, (colour, dash) = [figures[name]["auc"] for name in names], styles[tracker]
+        axes.plot([*angles, angles[0]], [*values, values[0]], dash, color=colour, label=tracker, linewidth=1.5)
+    shown = [f"{name.replace(' ', chr(10), 1)} ({len(comparison.attributes[name])})" for name in names]
+    axes.set_xticks(angles, shown, fontsize=6.5)
+    axes.tick_params(axis="y", labelsize=6.5)
+    axes.set_title(f"AUC by attribute on {comparison.title}", fontsize=10, pad=16)
+    figure.legend(loc="outside lower center", ncols=2, fontsize=8.5, frameon=False)
+    return figure
+
+
+def overlap_over_time(comparison: Comparison, sequence: str, truth: FloatArray, styles: Styles) -> Figure | None:
+    """Return the overlap of the best trackers with the label, frame by frame; None without a result of the sequence.
+
+    Args:
+        comparison: a benchmark with its trackers.
+        sequence: name of one of its sequences.
+        truth: its labels ``(n, 4)``; frames without a valid one are gaps.
+        styles: colour and line style by tracker.
+
+    Raises:
+        UserError: a result cannot be read.
+    """
+    shown = [m for m in comparison.measured if sequence in m.files]
+    if not shown:
+        return None
+    figure, axes = _figure(height=2.9)
+    ranked = sorted(shown, key=lambda m: -m.figures["otb"][sequence]["auc"])[:_LINES]
+    for place, entry in enumerate(ranked):
+        boxes = read_result(entry.files[sequence], len(truth))
+        with np.errstate(invalid="ignore"):
+            values = np.where((truth[:, 2:] > 0).all(axis=1), overlap(boxes, truth), np.nan)
+        label = f"{entry.tracker} [{entry.figures['otb'][sequence]['auc']:.3f}]"
+        colour, dash = styles[entry.tracker]
+        axes.plot(
+            np.arange(1, len(truth) + 1), values, dash, color=colour, label=label, linewidth=1.1, zorder=3 - place / 100
+        )
+    axes.set(xlabel="Frame", ylabel="Overlap", xlim=(1, max(2, len(truth))), ylim=(0, 1))
+    axes.set_title(f"{sequence} ({comparison.title})", fontsize=10)
+    figure.legend(loc="outside lower center", ncols=2, fontsize=8.5, frameon=False)
+    return figure
+
+
 def as_files(figure: Figure) -> dict[str, bytes]:
     """Return the contents of a PNG, an SVG and a PDF file of a figure, by suffix; equal figures give equal files."""
     import matplotlib
 
     files = {}
     with matplotlib.rc_context(_STYLE):
+        # The layout is the same for every file.
+        figure.draw_without_rendering()
+        figure.set_layout_engine("none")
         for kind, metadata in (("png", {}), ("svg", {"Date": None}), ("pdf", {"CreationDate": None})):
             buffer = io.BytesIO()
             figure.savefig(buffer, format=kind, dpi=200, metadata=metadata)
@@ -116,13 +178,13 @@ def as_files(figure: Figure) -> dict[str, bytes]:
     return files
 
 
-def _figure(height: float) -> tuple[Figure, Axes]:
+def _figure(height: float, projection: str | None = None) -> tuple[Figure, Axes]:
     import matplotlib
     from matplotlib.figure import Figure as NewFigure
 
     with matplotlib.rc_context(_STYLE):
         figure = NewFigure(figsize=(4.6, height), layout="constrained")
-        return figure, figure.add_subplot()
+        return figure, figure.add_subplot(projection=projection)
 
 
 def _measured_point(entry: Measured, convention: Convention) -> tuple[str, float, float]:
@@ -130,9 +192,7 @@ def _measured_point(entry: Measured, convention: Convention) -> tuple[str, float
     return entry.tracker, entry.speed.median, entry.mean[convention].figures["precision"]
 
 
-def _scatter(
-    name: str, points: list[tuple[str, float, float]], rows: list[Published], styles: dict[str, tuple[str, str]]
-) -> Figure | None:
+def _scatter(name: str, points: list[tuple[str, float, float]], rows: list[Published], styles: Styles) -> Figure | None:
     # the paper prints its own average in two tables
     printed = list({(row.tracker, row.fps_cpu, row.precision): None for row in rows if row.fps_cpu is not None})
     if not points and not printed:

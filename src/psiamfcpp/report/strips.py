@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
 
-from psiamfcpp.datasets import Sequence
+from psiamfcpp.datasets import Sequence as Labelled
 from psiamfcpp.errors import UserError
 from psiamfcpp.evaluation.measured import Measured
 from psiamfcpp.evaluation.results import read_result
@@ -39,19 +40,33 @@ class Strip:
         return np.hstack([part for frame in numbered for part in (frame, gap)][:-1])
 
 
-def strips(comparison: Comparison, styles: dict[str, tuple[str, str]]) -> list[Strip]:
-    """The sequences on which trackers differ most, a few frames each; none where the frames are not at hand.
+def telling(comparison: Comparison, wanted: Collection[str] = (), among: Sequence[str] | None = None) -> list[str]:
+    """Return the sequences that are wanted, or those on which the best trackers differ most.
 
     Args:
         comparison: a benchmark with its trackers.
-        styles: a colour (``#rrggbb``) a tracker; the label is drawn in white.
+        wanted: names, of any benchmark.
+        among: names to choose from; by default all of the benchmark.
     """
-    ranked = sorted(comparison.measured, key=lambda entry: -entry.mean["otb"].figures["auc"])[:_TRACKERS]
+    names = comparison.sequences if among is None else among
+    if wanted:
+        return [name for name in names if name in wanted]
+    best = _best(comparison)
+    return sorted(names, key=lambda name: -_spread(best, name))[:_SEQUENCES]
+
+
+def strips(comparison: Comparison, styles: dict[str, tuple[str, str]], sequences: Collection[str] = ()) -> list[Strip]:
+    """Return a few frames of each sequence; none where the frames are not at hand.
+
+    Args:
+        comparison: a benchmark with its trackers.
+        styles: a colour (``#rrggbb``) per tracker; the label is drawn in white.
+        sequences: which; by default those on which trackers differ most.
+    """
     by_name = comparison.frames()
-    names = [name for name in comparison.sequences if len(by_name.get(name, ())) > 1]
     made = []
-    for name in sorted(names, key=lambda name: -_spread(ranked, name))[:_SEQUENCES]:
-        shown = [entry for entry in ranked if name in entry.files]
+    for name in telling(comparison, sequences, [n for n in comparison.sequences if len(by_name.get(n, ())) > 1]):
+        shown = [entry for entry in _best(comparison) if name in entry.files]
         try:
             made.append(make_strip(by_name[name], shown, styles))
         except UserError:
@@ -60,12 +75,16 @@ def strips(comparison: Comparison, styles: dict[str, tuple[str, str]]) -> list[S
     return made
 
 
+def _best(comparison: Comparison) -> list[Measured]:
+    return sorted(comparison.measured, key=lambda entry: -entry.mean["otb"].figures["auc"])[:_TRACKERS]
+
+
 def _spread(entries: list[Measured], name: str) -> float:
     overlaps = [entry.figures["otb"][name]["auc"] for entry in entries if name in entry.files]
     return max(overlaps) - min(overlaps) if overlaps else -1.0
 
 
-def make_strip(sequence: Sequence, entries: list[Measured], styles: dict[str, tuple[str, str]]) -> Strip:
+def make_strip(sequence: Labelled, entries: list[Measured], styles: dict[str, tuple[str, str]]) -> Strip:
     """Return a strip of one sequence, with the boxes of trackers that have a result of it, the best first.
 
     Raises:

@@ -1,34 +1,26 @@
-"""The figures of a comparison as CSV and LaTeX."""
+"""The figures of a comparison as tables and CSV."""
 
 from __future__ import annotations
 
 import csv
 import io
+from itertools import combinations
 from typing import Any
 
 import numpy as np
 
+from psiamfcpp.evaluation.differences import FEW, Difference, paired_difference
 from psiamfcpp.evaluation.measured import CONVENTIONS, Measured
 from psiamfcpp.evaluation.metrics import Convention
 from psiamfcpp.report.compare import PAPER, Comparison
+from psiamfcpp.report.layout import Cell, Row, Table, number, ranks, without_empty_columns
 
 FIGURES = ("precision", "normalized_precision", "auc", "success50")
-_LATEX = {
-    "\\": r"\textbackslash{}",
-    "^": r"\textasciicircum{}",
-    "&": r"\&",
-    "%": r"\%",
-    "$": r"\$",
-    "#": r"\#",
-    "_": r"\_",
-    "{": r"\{",
-    "}": r"\}",
-    "~": r"\textasciitilde{}",
-}
+TITLES = dict(zip(FIGURES, ("Precision", "Norm. precision", "AUC", "Success@0.5"), strict=True))
 
 
 def rows(comparison: Comparison, convention: Convention) -> list[dict[str, Any]]:
-    """A row a tracker: the measured ones by precision, then those that the paper printed.
+    """Return a row per tracker: those that were run or scored by precision, then those that the paper printed.
 
     Published rows of which nobody says what convention they follow come under both, and say so.
     """
@@ -63,6 +55,93 @@ def by_attribute(comparison: Comparison, entry: Measured, convention: Convention
         if figures:
             found[attribute] = {key: float(np.mean([f[key] for f in figures])) for key in FIGURES}
     return found
+
+
+def figures_table(comparison: Comparison, convention: Convention, percent: bool = False) -> Table:
+    """Return the figures of all trackers, without columns in which nothing stands.
+
+    Args:
+        comparison: a benchmark with its trackers.
+        convention: what rows without a valid label count for.
+        percent: show shares as percent.
+    """
+    listed = rows(comparison, convention)
+    speeds = speed_columns(listed)
+    keys = TITLES | speeds
+    marks = {key: ranks([None if row["kind"] == "published" else row[key] for row in listed]) for key in keys}
+    lines = []
+    for i, row in enumerate(listed):
+        cells = [share(row[key], percent, marks[key][i]) for key in TITLES]
+        cells += [number(row[key], marks[key][i], 1) for key in speeds]
+        lines.append(Row(row["tracker"], [*cells, Cell(row["source"])], row["kind"]))
+    elsewhere = sum(row.convention not in (convention, None) for row in comparison.published)
+    note = f" {elsewhere} published rows follow the other convention, and are shown with it." if elsewhere else ""
+    caption = f"{comparison.title}, convention {convention}{', percent' if percent else ''}.{note}"
+    columns = ["Tracker", *keys.values(), "Source"]
+    return without_empty_columns(Table(caption, columns, lines, prose=["Source"]))
+
+
+def attribute_table(comparison: Comparison, convention: Convention, percent: bool = False) -> Table:
+    """Return the AUC of each tracker over the sequences of each attribute, whose number stands in brackets."""
+    found = {entry.tracker: by_attribute(comparison, entry, convention) for entry in comparison.measured}
+    lines = []
+    for name, of in comparison.attributes.items():
+        if not of:
+            continue
+        values = [figures[name]["auc"] if name in figures else None for figures in found.values()]
+        marks = ranks(values)
+        cells = [share(value, percent, mark) for value, mark in zip(values, marks, strict=True)]
+        lines.append(Row(f"{name} ({len(of)})", cells))
+    caption = f"AUC by attribute on {comparison.title}, convention {convention}{', percent' if percent else ''}."
+    return Table(caption, ["Attribute", *found], lines)
+
+
+def difference_table(comparison: Comparison, convention: Convention) -> Table:
+    """Return by how much the most precise tracker exceeds each other one, with intervals over sequences."""
+    best, *others = sorted(comparison.measured, key=lambda entry: -entry.mean[convention].figures["precision"])
+    count = len(comparison.sequences)
+    caption = f"Points by which {best.tracker} exceeds the others on {comparison.title}, convention {convention}, with "
+    caption += "bootstrap intervals of 95 percent over sequences. Where an interval holds 0, no difference is shown."
+    if count < FEW:
+        caption += f" {count} sequences are too few for intervals: these differences mean nothing by themselves."
+    elif len(others) > 1:
+        caption += " Each interval stands by itself, and one in twenty misses by chance."
+    lines = []
+    for other in others:
+        found = [d for figure in ("precision", "auc") if (d := difference(best, other, convention, figure))]
+        cells = [text for d in found for text in (Cell(_interval(d)), Cell(d.verdict))]
+        lines += [Row(other.tracker, cells)] if cells else []
+    columns = ["Compared with", "Points", "Verdict", "Points", "Verdict"]
+    return Table(caption, columns, lines, groups=[("Precision", 2), ("AUC", 2)], prose=["Verdict"])
+
+
+def difference(first: Measured, second: Measured, convention: Convention, figure: str) -> Difference | None:
+    """Return by how much a tracker exceeds another in a figure; None where they have no sequence in common."""
+    one, other = (
+        {name: figures[figure] for name, figures in entry.figures[convention].items()} for entry in (first, second)
+    )
+    return paired_difference(one, other) if one.keys() & other.keys() else None
+
+
+def differences_csv(comparisons: list[Comparison]) -> str:
+    """Return a row per benchmark, convention, figure and pair of trackers."""
+    return _csv(
+        [
+            {"dataset": c.dataset, "convention": kind, "figure": figure, "tracker": first.tracker,
+             "less": second.tracker, "difference": d.mean, "low": d.low, "high": d.high, "sequences": d.sequences,
+             "verdict": d.verdict}
+            for c in comparisons
+            for kind in CONVENTIONS
+            for figure in ("precision", "auc")
+            for first, second in combinations(c.measured, 2)
+            if (d := difference(first, second, kind, figure))
+        ]
+    )  # fmt: skip
+
+
+def share(value: float | None, percent: bool = False, rank: str = "") -> Cell:
+    """Return a share as a cell: a fraction of three digits, or percent of one."""
+    return number(None if value is None else 100 * value, rank, 1) if percent else number(value, rank)
 
 
 def figures_csv(comparisons: list[Comparison]) -> str:
@@ -103,34 +182,15 @@ def attributes_csv(comparisons: list[Comparison]) -> str:
     )
 
 
-def latex(comparison: Comparison, convention: Convention) -> str:
-    """A table for a paper (needs the package booktabs); published rows bear a dagger and their source."""
-    listed = rows(comparison, convention)
-    speeds = speed_columns(listed)
-    best = {key: max((row[key] for row in listed if row["kind"] == "measured"), default=None) for key in FIGURES}
-    lines = [
-        r"\begin{table}",
-        r"\centering",
-        rf"\caption{{{_escape(comparison.title)}, convention {convention}. $\dagger$: as published, not measured.}}",
-        rf"\begin{{tabular}}{{lrrrr{'r' * len(speeds)}}}",
-        r"\toprule",
-        rf"Tracker & Precision & Norm. precision & AUC & Success@0.5 & {' & '.join(speeds.values())} \\",
-        r"\midrule",
-    ]
-    for i, row in enumerate(listed):
-        if i and row["kind"] == "published" and listed[i - 1]["kind"] == "measured":
-            lines.append(r"\midrule")
-        name = _escape(row["tracker"]) + (r"$^\dagger$" if row["kind"] == "published" else "")
-        cells = [_cell(row[key], row["kind"] == "measured" and row[key] == best[key]) for key in FIGURES]
-        cells += ["--" if row[key] is None else f"{row[key]:.1f}" for key in speeds]
-        lines.append(" & ".join([name, *cells]) + rf" \\ % {row['source']}")
-    return "\n".join([*lines, r"\bottomrule", r"\end{tabular}", r"\end{table}", ""])
-
-
 def _measured_row(comparison: Comparison, entry: Measured, convention: Convention) -> dict[str, Any]:
     known, empty = entry.row(convention), _empty(comparison, entry.tracker, convention)
     shown = {key: known.get(key, value) for key, value in empty.items()}
-    return {**shown, "kind": "measured", "source": entry.source, "sequences": len(entry.files)}
+    kind = "measured" if entry.run else "scored"
+    return {**shown, "kind": kind, "source": entry.source, "sequences": len(entry.files)}
+
+
+def _interval(found: Difference) -> str:
+    return f"{100 * found.mean:+.1f} [{100 * found.low:+.1f}, {100 * found.high:+.1f}]"
 
 
 def _empty(comparison: Comparison, tracker: str, convention: Convention) -> dict[str, Any]:
@@ -147,12 +207,3 @@ def _csv(listed: list[dict[str, Any]]) -> str:
     writer.writeheader()
     writer.writerows({k: f"{v:.6g}" if isinstance(v, float) else v for k, v in row.items()} for row in listed)
     return text.getvalue()
-
-
-def _cell(value: float | None, bold: bool) -> str:
-    text = "--" if value is None else f"{value:.3f}"
-    return rf"\textbf{{{text}}}" if bold else text
-
-
-def _escape(text: str) -> str:
-    return "".join(_LATEX.get(sign, sign) for sign in text)
