@@ -141,6 +141,7 @@ def gone(one: socket.socket) -> bool:
         return True
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "begun", [b"", b"GET / HT", b"POST /api/login HTTP/1.1\r\nHost: x\r\nContent-Length: 90\r\n\r\n"]
 )
