@@ -48,8 +48,16 @@ def _skipped_without_leave() -> dict[str, str]:
 
 def pytest_sessionfinish(session: pytest.Session) -> None:
     """Fail the run where a test was skipped that may not be."""
+    if hasattr(session.config, "workeroutput"):
+        session.config.workeroutput["skipped"] = skipped
     if _skipped_without_leave() and session.exitstatus == pytest.ExitCode.OK:
         session.exitstatus = pytest.ExitCode.TESTS_FAILED
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_testnodedown(node: Any) -> None:
+    """Take over what a worker of xdist skipped, of which files skipped as a whole are not reported otherwise."""
+    skipped.update(getattr(node, "workeroutput", {}).get("skipped", {}))
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:

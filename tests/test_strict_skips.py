@@ -20,19 +20,22 @@ def test_data(): pass
 @pytest.mark.skipif(True, reason="no browser")
 def test_page(): pass
 """
+A, B = "tests/test_a.py", "tests/test_b.py"
 WHOLE_FILE = 'import pytest\npytest.importorskip("no_such_library")\n'
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("strict", "allowed", "named"),
+    ("strict", "workers", "allowed", "named"),
     [
-        ("0", "", []),
-        ("1", "tests/test_a.py  # all of it\ntests/test_b.py", []),
-        ("1", "# tests/test_a.py\n\ntests/test_a.py::test_page", ["tests/test_a.py::test_data", "tests/test_b.py"]),
+        ("0", 0, "", []),
+        ("1", 2, "tests/test_a.py  # all of it\ntests/test_b.py", []),
+        *(("1", n, "# tests/test_a.py\n\ntests/test_a.py::test_page", [f"{A}::test_data", B]) for n in (0, 2)),
     ],
 )
-def test_skips_that_nobody_allowed_fail_the_run(tmp_path: Path, strict: str, allowed: str, named: list[str]) -> None:
+def test_skips_that_nobody_allowed_fail_the_run(
+    tmp_path: Path, strict: str, workers: int, allowed: str, named: list[str]
+) -> None:
     folder = tmp_path / "tests"
     folder.mkdir()
     shutil.copy(Path(__file__).with_name("conftest.py"), folder)
@@ -41,7 +44,7 @@ def test_skips_that_nobody_allowed_fail_the_run(tmp_path: Path, strict: str, all
     (folder / "test_b.py").write_text(WHOLE_FILE)
     (folder / "allowed_skips.txt").write_text(allowed)
     done = subprocess.run(
-        [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", str(folder)],
+        [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "-n", str(workers), str(folder)],
         env={**os.environ, "PSIAMFCPP_STRICT_SKIPS": strict},
         cwd=Path.home(),
         capture_output=True,

@@ -14,6 +14,9 @@ from packaging.requirements import Requirement
 
 import psiamfcpp
 
+# a process each
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="session")
 def core(tmp_path_factory: pytest.TempPathFactory) -> Path:
@@ -93,7 +96,6 @@ def test_what_serving_needs_says_how_to_get_it(missing: str, args: list[str], ex
     assert f"pip install 'psiamfcpp[{extra}]'" in done.stderr
 
 
-@pytest.mark.slow
 def test_the_demo_runs_on_the_shipped_graphs(core: Path, tmp_path: Path) -> None:
     args = ["demo", "--frames", "4", "--threads", "1", "--json", "-o", str(tmp_path / "demo.mp4")]
     done = _python(core, f"import sys; from psiamfcpp.cli import main; sys.exit(main({args!r}))")

@@ -133,6 +133,7 @@ def test_ranking_goes_on_after_a_kill_and_with_more_images(
     assert json.loads(more.read_text())["images"] == 8
 
 
+@pytest.mark.slow
 def test_ranks_of_another_seed_are_not_taken_up(run: Run, tiny_model: Path, clips: Path, tmp_path: Path) -> None:
     args = ("rank", tiny_model, "--data", f"folder:{clips}", "-o", tmp_path / "ranks.json", "--images", 2)
     assert run(*args).code == 0

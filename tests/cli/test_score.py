@@ -149,6 +149,7 @@ def test_what_cannot_be_scored_is_refused(run: Run, command: list[str | Path], t
     assert "anno/car1.txt are empty" in run(*command).refused()
 
 
+@pytest.mark.slow
 def test_memory_does_not_grow_with_the_number_of_trackers(run: Run, tmp_path: Path) -> None:
     rows = 1500
     for name in ("car1", "car2", "car3"):

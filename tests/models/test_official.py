@@ -138,6 +138,7 @@ def test_junk(tmp_path: Path, data: bytes):
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:Detected pickle protocol")
 @pytest.mark.parametrize("zipped", [True, False])
 def test_damaged_files_are_refused_whatever_the_damage(tmp_path: Path, zipped: bool):

@@ -248,6 +248,7 @@ def test_an_output_that_is_a_file(start: Start, tmp_path: Path):
     assert (tmp_path / "run").read_text() == "mine"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("share", "named"), [(0.0, "log.jsonl"), (0.5, "model.safetensors"), (1.5, "state.pt")])
 def test_a_full_disk_is_named_and_the_run_can_go_on(
     start: Start, tmp_path: Path, disk_of: Callable[[int], AbstractContextManager[None]], share: float, named: str

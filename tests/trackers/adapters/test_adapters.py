@@ -16,6 +16,9 @@ from psiamfcpp.trackers.trax.adapter import adapter_files, adapters, describe_ad
 
 from .checkouts import CHECKOUTS, make_checkout
 
+# a worker process each
+pytestmark = pytest.mark.slow
+
 FOLDER = adapter._FOLDER
 NAMES = sorted(CHECKOUTS)
 # what `update` returns with a score in the originals
