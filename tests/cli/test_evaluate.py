@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -68,17 +69,80 @@ def test_evaluate_parts_the_conventions(run: Run, blob_engine: Any, blob_sequenc
     assert got10k["success50"] == 1
 
 
-def test_evaluate_prints_a_table_a_convention_and_the_speed(
+def test_evaluate_prints_one_table_where_the_conventions_agree_and_the_speed(
     run: Run, tiny_model: Path, blob_sequence: Sequences
 ) -> None:
     root = blob_sequence("car1", PATH[:3])
     ended = run("evaluate", "--root", root, "--tracker", tiny_model, "--search-size", 239, "--plain")
     assert (ended.code, ended.err) == (0, "")
-    head, otb, got10k, speed = ended.out.split("\n\n")
+    head, table, speed = ended.out.split("\n\n")
     assert head == "folder: 1 sequences, 3 labels"
-    for table in (otb, got10k):
-        assert [line.split()[0] for line in table.splitlines()[2:]] == ["tiny", "car1"]
+    lines = table.splitlines()
+    assert lines[0] == "otb and got10k agree: every row has a valid label"
+    assert [line.split()[0] for line in lines[2:]] == ["tiny", "car1"]
     assert re.fullmatch(r"tiny: [\d.]+ fps \(median; mean [\d.]+\), decoding apart, 1 thread, .+\n", speed)
+
+
+def test_one_model_with_two_settings_stands_side_by_side(
+    run: Run, blob_engine: Any, blob_sequence: Sequences, tmp_path: Path
+) -> None:
+    root = blob_sequence("car1", PATH)
+    base = ("evaluate", "--root", root, "--results", tmp_path / "r", "--tracker")
+    ended = run(*base, "blob", "blob,plain=true", "--json", "--name", "with states", "plain")
+    rows = json.loads(ended.out)["results"]
+    assert [row["tracker"] for row in rows] == ["with states"] * 2 + ["plain"] * 2
+    folders = {path.name: json.loads((path / "run.json").read_text()) for path in (tmp_path / "r" / "folder").iterdir()}
+    assert {name: run["identity"]["plain"] for name, run in folders.items()} == {"with states": False, "plain": True}
+    # another tracker under a name that is taken is refused, not mixed
+    message = run(*base, "blob", "--name", "plain").refused()
+    assert "was made with plain True and not False" in message
+
+
+@pytest.mark.parametrize(
+    ("names", "message"),
+    [
+        (("a", "b"), "--name gives 2 names, but --tracker 1 trackers"),
+        (("../up",), "name '../up' cannot be that of a folder"),
+        (("a/b",), "name 'a/b' cannot be that of a folder"),
+    ],
+)
+def test_names_that_cannot_be_given(
+    run: Run, blob_engine: Any, blob_sequence: Sequences, names: tuple[str, ...], message: str
+) -> None:
+    root = blob_sequence("car1", PATH[:3])
+    assert message in run("evaluate", "--root", root, "--tracker", "blob", "--name", *names).refused()
+
+
+def test_several_benchmarks_in_one_call(run: Run, blob_engine: Any, blob_sequence: Sequences, tmp_path: Path) -> None:
+    place = tmp_path / "benchmarks"
+    place.mkdir()
+    shutil.copytree(blob_sequence("car1", PATH), place / "DTB70")
+    shutil.copytree(place / "DTB70" / "car1" / "img", place / "UAVDT" / "sequences" / "S0101")
+    (place / "UAVDT" / "anno").mkdir()
+    shutil.copy(place / "DTB70" / "car1" / "groundtruth_rect.txt", place / "UAVDT" / "anno" / "S0101_gt.txt")
+    command = ("evaluate", "--root", place, "--tracker", "blob", "--results", tmp_path / "r", "--dataset")
+    rows = json.loads(run(*command, "dtb70", "uavdt", "--json").out)["results"]
+    assert [(row["dataset"], row["convention"], row["precision"]) for row in rows] == [
+        (dataset, kind, 1) for dataset in ("dtb70", "uavdt") for kind in ("otb", "got10k")
+    ]
+    shown = run(*command, "dtb70", "uavdt").out
+    assert shown.index("dtb70: 1 of 70 sequences") < shown.index("uavdt: 1 of 50 sequences")
+    # all are looked for before the first is run
+    message = run(*command, "dtb70", "visdrone2018").refused()
+    assert f"{place} holds no frames of visdrone2018; get it from https://" in message
+
+
+def test_progress_is_said_in_lines_where_there_is_no_terminal(
+    run: Run, blob_engine: Any, blob_sequence: Sequences, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("psiamfcpp.cli.output.LINE_SECONDS", 0.0)
+    for name in ("car1", "car2"):
+        root = blob_sequence(name, PATH[:3])
+    lines = run("evaluate", "--root", root, "--tracker", "blob").err.splitlines()
+    assert [re.sub(r"\d+ s", "N s", line) for line in lines] == [
+        "sequences: 1 of 2, N s, about N s left",
+        "sequences: 2 of 2, N s, about N s left",
+    ]
 
 
 def test_evaluate_refuses(run: Run, tiny_model: Path, tmp_path: Path, blob_sequence: Sequences) -> None:

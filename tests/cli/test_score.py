@@ -74,6 +74,14 @@ def test_a_table_a_convention(run: Run, command: list[str | Path]) -> None:
     ]
 
 
+def test_one_table_where_the_conventions_agree(run: Run, command: list[str | Path]) -> None:
+    *_, results = command
+    (Path(results).parent / "anno" / "car2.txt").write_text(box(10) * 4)
+    _, table = run(*command).out.split("\n\n")
+    assert table.startswith("otb and got10k agree: every row has a valid label")
+    assert len(table.splitlines()) == 4
+
+
 @pytest.mark.parametrize("again", [["--results"], []])
 def test_an_option_that_is_given_again_adds_its_values(run: Run, command: list[str | Path], again: list[str]) -> None:
     *given, results = command

@@ -5,7 +5,8 @@ from __future__ import annotations
 import contextlib
 import json
 import sys
-from collections.abc import Iterator
+import time
+from collections.abc import Iterable, Iterator, Sized
 from typing import Any
 
 from rich.console import Console
@@ -13,7 +14,10 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from psiamfcpp.errors import UserError
 from psiamfcpp.geometry import Box
-from psiamfcpp.watch import Watch
+from psiamfcpp.watch import Item, Watch
+
+LINE_SECONDS = 10.0
+"""between two lines of progress; what is done sooner prints none"""
 
 # Standard output is for results; what is said on the way goes to standard error.
 notes = Console(stderr=True, highlight=False, soft_wrap=True)
@@ -25,6 +29,20 @@ def print_json(result: dict[str, Any]) -> None:
     sys.stdout.write("\n")
 
 
+def _lines(items: Iterable[Item], description: str, total: int | None = None) -> Iterator[Item]:
+    """Go over items, and print a line every `LINE_SECONDS` about how many are done."""
+    if total is None and isinstance(items, Sized):
+        total = len(items)
+    start = said = time.monotonic()
+    for done, item in enumerate(items, start=1):
+        now = time.monotonic()
+        if now - said >= LINE_SECONDS:
+            left = f", about {(now - start) / done * (total - done):.0f} s left" if total else ""
+            notes.print(f"{description}: {done}{f' of {total}' if total else ''}, {now - start:.0f} s{left}")
+            said = now
+        yield item
+
+
 def progress() -> Progress:
     """A progress bar on standard error; nothing where that is no terminal."""
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
@@ -33,7 +51,10 @@ def progress() -> Progress:
 
 @contextlib.contextmanager
 def watching() -> Iterator[Watch]:
-    """What recipes tell of their progress, on standard error."""
+    """Give recipes a place for their progress on standard error: a bar, or lines where that is no terminal."""
+    if not sys.stderr.isatty():
+        yield Watch(notes.print, _lines)
+        return
     with progress() as bar:
         yield Watch(
             notes.print, lambda items, description, total=None: bar.track(items, total=total, description=description)

@@ -37,27 +37,27 @@ def score(
     """
     conventions = CONVENTIONS if convention == "both" else (convention,)
     measured = score_results(dataset, annotations, results, conventions, allow_missing, Watch(notes.print))
-    print_measured(dataset, measured, conventions, per_sequence, json)
+    if json:
+        print_json({"results": [entry.row(kind) for entry in measured for kind in conventions]})
+    else:
+        print_measured(dataset, measured, conventions, per_sequence)
 
 
 def print_measured(
-    dataset: BenchmarkName,
-    measured: list[Measured],
-    conventions: tuple[Convention, ...],
-    per_sequence: bool,
-    json: bool,
+    dataset: BenchmarkName, measured: list[Measured], conventions: tuple[Convention, ...], per_sequence: bool
 ) -> None:
-    """Print what trackers scored: one JSON object, or one table per convention with one line per tracker."""
-    if json:
-        print_json({"results": [entry.row(kind) for entry in measured for kind in conventions]})
-        return
+    """Print what trackers scored: a table per convention, or one where they agree, with one line per tracker."""
     first = measured[0]
     count, official = len(first.files) + first.missing, BENCHMARKS[dataset].size
     print(
         f"{dataset}: {count}{'' if official in (None, count) else f' of {official}'} sequences, {first.labels} labels"
     )
-    for kind in conventions:
-        print(f"\n{kind}: rows without a valid label {_COUNTS_FOR[kind]}")
+    agree = len(conventions) > 1 and all(not entry.mean[kind].invalid for entry in measured for kind in conventions)
+    for kind in conventions[: 1 if agree else None]:
+        if agree:
+            print(f"\n{' and '.join(conventions)} agree: every row has a valid label")
+        else:
+            print(f"\n{kind}: rows without a valid label {_COUNTS_FOR[kind]}")
         print(f"{'tracker':30} precision  norm. precision    AUC  success@0.5  invalid rows")
         for entry in measured:
             row = entry.row(kind)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
@@ -11,8 +12,9 @@ from psiamfcpp.datasets import BENCHMARKS, BenchmarkName
 from psiamfcpp.errors import UserError
 from psiamfcpp.evaluation.measured import CONVENTIONS, Measured
 from psiamfcpp.evaluation.running import result_files, run
+from psiamfcpp.recipes.find import find_benchmark
 from psiamfcpp.recipes.score import measure_all
-from psiamfcpp.trackers import TrackerOptions, choose
+from psiamfcpp.trackers import TrackerChoice, TrackerOptions, choose
 from psiamfcpp.watch import QUIET, Watch
 from psiamfcpp.zoo import DEFAULT_MODEL
 
@@ -28,6 +30,7 @@ def evaluate(
     cluster: str | None = None,
     allow_missing: bool = False,
     options: TrackerOptions = _DEFAULT,
+    names: Sequence[str] = (),
     watch: Watch = QUIET,
 ) -> list[Measured]:
     """Run trackers over a benchmark, or a folder of sequences, and score them (one-pass evaluation).
@@ -41,6 +44,8 @@ def evaluate(
         cluster: address of a Dask scheduler (tcp://HOST:PORT) whose workers run the sequences instead.
         allow_missing: score a tracker on the sequences that could be run.
         options: how our models run.
+        names: what tables and folders of results call each tracker, so that one model with two settings can stand
+            side by side; by default their own names.
         watch: receives progress, and one line about each sequence that could not be run.
 
     Returns:
@@ -54,7 +59,7 @@ def evaluate(
         raise UserError(f"--jobs is {jobs}: it must be at least 1")
     if not trackers:
         raise UserError("--tracker names none: give a model, or another as opencv:mil")
-    choices = [choose(entry, options) for entry in trackers]
+    choices = _named([choose(entry, options) for entry in trackers], names)
     sequences = BENCHMARKS[dataset].read(root.resolve())
     with contextlib.ExitStack() as stack:
         place = results or Path(stack.enter_context(tempfile.TemporaryDirectory()))
@@ -63,6 +68,69 @@ def evaluate(
         labels = {sequence.name: sequence.boxes for sequence in sequences}
         files = {choice.name: result_files(place / dataset / choice.name, sequences) for choice in choices}
         return measure_all(dataset, labels, files, CONVENTIONS, allow_missing, watch)
+
+
+def evaluate_several(
+    root: Path,
+    datasets: Sequence[BenchmarkName],
+    trackers: Sequence[str] = (DEFAULT_MODEL,),
+    results: Path | None = None,
+    jobs: int = 1,
+    cluster: str | None = None,
+    allow_missing: bool = False,
+    options: TrackerOptions = _DEFAULT,
+    names: Sequence[str] = (),
+    watch: Watch = QUIET,
+) -> dict[BenchmarkName, list[Measured]]:
+    """Run trackers over several benchmarks, one after the other; arguments and errors as of `evaluate`.
+
+    Args:
+        root: of one benchmark its folder; of several the folder that holds theirs.
+        datasets: names of the benchmarks.
+        trackers: see `evaluate`, as the rest.
+        results: see there.
+        jobs: see there.
+        cluster: see there.
+        allow_missing: see there.
+        options: see there.
+        names: see there.
+        watch: see there.
+
+    Returns:
+        What `evaluate` returns, by benchmark.
+    """
+    # All must be there before the first is run.
+    roots = {name: root if len(datasets) == 1 else _root_of(name, root) for name in datasets}
+    return {
+        name: evaluate(place, name, trackers, results, jobs, cluster, allow_missing, options, names, watch)
+        for name, place in roots.items()
+    }
+
+
+def _root_of(name: BenchmarkName, root: Path) -> Path:
+    if not root.is_dir():
+        raise UserError(f"dataset folder {root} does not exist")
+    found = find_benchmark(BENCHMARKS[name], root)
+    if found is None or not found.frames:
+        why = f": {found.problem}" if found and found.problem else f"; get it from {BENCHMARKS[name].source}"
+        raise UserError(f"{root} holds no frames of {name}{why}")
+    return Path(found.root)
+
+
+def _named(choices: list[TrackerChoice], names: Sequence[str]) -> list[TrackerChoice]:
+    """Return the trackers under the names that they were given.
+
+    Raises:
+        UserError: there are more or fewer names than trackers, or one cannot be a folder's.
+    """
+    if not names:
+        return choices
+    if len(names) != len(choices):
+        raise UserError(f"--name gives {len(names)} names, but --tracker {len(choices)} trackers: give one each")
+    wrong = next((name for name in names if not name.strip() or name[0] == "." or set(name) & set("/\\\0")), None)
+    if wrong is not None:
+        raise UserError(f"name {wrong!r} cannot be that of a folder: use letters, digits, - and _")
+    return [dataclasses.replace(choice, label=name) for choice, name in zip(choices, names, strict=True)]
 
 
 def _check(problems: list[str], allow_missing: bool, results: Path | None, watch: Watch) -> None:
