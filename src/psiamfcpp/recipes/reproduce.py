@@ -120,6 +120,10 @@ def reproduce(
         return Reproduced(found, planned, problems)
     if output is None and (planned or with_ratios):
         raise UserError("frames are there and runs are to be done: give -o DIR for results and page, or --dry-run")
+    if output:
+        # Their absence must be said before hours of runs.
+        import jinja2  # noqa: F401
+        import matplotlib  # noqa: F401
     for part in work:
         assert own is not None
         problems += run(part.choices, part.dataset, part.root, part.sequences, own, jobs, cluster, watch)
