@@ -56,6 +56,17 @@ def test_a_root_that_is_a_benchmark(run: Run, root: Path) -> None:
     assert found["dtb70"]["sequences"] == 1
 
 
+@pytest.mark.parametrize("folder", ["UAV123", "UAV123_10fps"])
+def test_of_two_folders_of_its_names_a_benchmark_is_where_its_labels_are(run: Run, tmp_path: Path, folder: str) -> None:
+    for name in ("UAV123", "UAV123_10fps"):
+        (tmp_path / name / "anno" / "UAV123").mkdir(parents=True)
+    labels = tmp_path / folder / "anno" / "UAV123_10fps" / "boat3.txt"
+    labels.parent.mkdir()
+    labels.write_text("1,2,3,4\n")
+    found = {r["name"]: r["found"] for r in json.loads(run("datasets", "--root", tmp_path, "--json").out)["datasets"]}
+    assert (found["uav123-10fps"]["root"], found["uav123-10fps"]["sequences"]) == (str(tmp_path / folder), 1)
+
+
 def test_it_is_said_in_words(run: Run, root: Path) -> None:
     lines = run("datasets", "--root", root).out.splitlines()
     assert any(line.endswith(f"found 1 sequences, 1 labels, 1 frames in {root / 'DTB70'}") for line in lines)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+import json
 import re
 import shutil
 from collections.abc import Iterator
@@ -12,9 +14,11 @@ import numpy as np
 import pytest
 
 from psiamfcpp.errors import UserError
+from psiamfcpp.models.arch import DEFAULT, architecture
 from psiamfcpp.recipes import reproduce as recipe
 from psiamfcpp.recipes.reproduce import Reproduced, reproduce
 from psiamfcpp.report.layout import Table
+from psiamfcpp.report.published import pruned_layers
 
 from .conftest import PATH
 
@@ -167,6 +171,28 @@ def test_correlation_filters_bear_the_papers_names(
     assert (kcf[3], kcf[-1]) == ("100.0", "")
     assert float(kcf[5]) > 0
     assert (tmp_path / "out" / "results" / "dtb70" / "KCF" / "run.json").is_file()
+
+
+@pytest.mark.slow
+def test_table_4_is_measured_from_a_rank_table(
+    benchmarks: Path, tiny_model: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("torch")
+    monkeypatch.setattr(recipe, "MODELS", dict.fromkeys(recipe.MODELS, str(tiny_model)))
+    one_ratio = [dataclasses.replace(layer, precision={0.5: layer.precision[0.5]}) for layer in pruned_layers()]
+    monkeypatch.setattr("psiamfcpp.recipes.reproduce_ratios.pruned_layers", lambda: one_ratio)
+    ranks = tmp_path / "ranks.json"
+    groups = {name: {"rank": list(range(1, 9))} for name in architecture(DEFAULT).groups}
+    ranks.write_text(json.dumps({"format": "psiamfcpp-ranks/1", "images": 9, "groups": groups}))
+    done = reproduce(benchmarks, tmp_path / "out", wanted=(4,), ranks=ranks)
+    assert [(p.tracker, p.frames) for p in done.planned] == [("9 networks of Table 4", 9 * 5)]
+    assert reproduce(benchmarks, tmp_path / "out", wanted=(4,), ranks=ranks, dry_run=True).planned == []
+    for layer in pruned_layers():
+        printed, ours = (line(done.tables[4], layer.layer, place) for place in range(2))
+        assert (printed[0], ours[0]) == ("as printed", "none")
+        assert [text != "\u2013" for text in ours[1:]] == [ratio == 0.5 for ratio in layer.precision]
+    # what is measured is shown without being asked for again
+    assert line(reproduce(benchmarks, tmp_path / "out", wanted=(4,)).tables[4], "L1 (Head)", 1)[0] == "none"
 
 
 def test_wrong_use_is_refused(benchmarks: Path, blob_engine: Any, tmp_path: Path) -> None:

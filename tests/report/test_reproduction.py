@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import re
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ from psiamfcpp.datasets import BENCHMARKS
 from psiamfcpp.evaluation.measured import Measured
 from psiamfcpp.evaluation.results import Speed
 from psiamfcpp.report.compare import Comparison
+from psiamfcpp.report.layout import as_latex
 from psiamfcpp.report.published import averaged, gains, published
 from psiamfcpp.report.reproduction import ON_GPU, Reproduction, gains_table, paper_name, tables
 
@@ -125,3 +127,16 @@ def test_a_page_without_results_is_written(tmp_path: Path) -> None:
     files = write_reproduction(nothing, tables(nothing), there(dict.fromkeys(averaged())), ["x < y"], tmp_path)
     assert "x &lt; y" in files[0].read_text()
     assert {path.name for path in tmp_path.iterdir()} == {path.name for path in files}
+
+
+@pytest.mark.parametrize("number", [1, 2, 3, 4])
+def test_every_latex_row_has_as_many_cells_as_the_table_has_columns(four: Reproduction, number: int) -> None:
+    text = as_latex(tables(four)[number], "x")
+    (columns,) = re.findall(r"\\begin\{tabular\}\{([lr]+)\}", text)
+    rows = [line.partition(r" \\")[0] for line in text.splitlines() if r" \\" in line]
+    spans = [
+        sum(int(span) for span in re.findall(r"\\multicolumn\{(\d+)\}", row)) - row.count(r"\multicolumn")
+        for row in rows
+    ]
+    assert {row.count("&") + 1 + span for row, span in zip(rows, spans, strict=True)} == {len(columns)}
+    assert text.count("{") == text.count("}")

@@ -36,11 +36,13 @@ def report(
 
     Raises:
         UserError: a folder holds no result, labels are missing, or a file cannot be written.
-        ModuleNotFoundError: matplotlib is not installed (extra ``report``).
+        ModuleNotFoundError: matplotlib or jinja2 is not installed (extra ``report``).
     """
     if not results:
         raise UserError("no folder of results is named: give those that `evaluate` wrote")
-    import matplotlib  # noqa: F401 - its absence must be said before the results are read
+    # Their absence must be said before the results are read.
+    import jinja2  # noqa: F401
+    import matplotlib  # noqa: F401
 
     comparisons = collect(list(results), dict(annotations or {}), allow_missing)
     for c in comparisons:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import importlib.util
-import json
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -14,10 +13,11 @@ from psiamfcpp.datasets import Sequence as Labelled
 from psiamfcpp.errors import UserError
 from psiamfcpp.evaluation.running import is_done, run
 from psiamfcpp.recipes.find import Found, find_benchmark
+from psiamfcpp.recipes.reproduce_ratios import ratios_left, read_ratios, run_ratios
 from psiamfcpp.recipes.reproduce_time import seconds_per_frame
 from psiamfcpp.report.compare import compare, title
 from psiamfcpp.report.layout import Cell, Row, Table
-from psiamfcpp.report.published import averaged, pruned_layers, published
+from psiamfcpp.report.published import averaged, published
 from psiamfcpp.report.reproduction import BASELINE, ON_GPU, PRUNED, Reproduction, paper_name, tables
 from psiamfcpp.trackers import TrackerChoice, TrackerOptions, choose
 from psiamfcpp.trackers.dcf import FILTERS
@@ -39,7 +39,7 @@ class Planned:
     sequences: int
     frames: int
     seconds: float | None
-    """estimate for one process; None where the tracker cannot be opened"""
+    """estimate for one process; None where the tracker cannot follow the first of the sequences"""
 
 
 @dataclass(frozen=True)
@@ -116,15 +116,22 @@ def reproduce(
     work = list(_work(found, chosen, checkouts)) if root else []
     planned, problems, work = _plan(work, own, watch)
     with_ratios = 4 in chosen and bool(ranks or data) and bool(found["dtb70"] and found["dtb70"].frames)
+    if with_ratios:
+        planned += _plan_ratios(found, output, own, bool(data))
     if dry_run:
         return Reproduced(found, planned, problems)
     if output is None and (planned or with_ratios):
         raise UserError("frames are there and runs are to be done: give -o DIR for results and page, or --dry-run")
+    if output:
+        # Their absence must be said before hours of runs.
+        import jinja2  # noqa: F401
+        import matplotlib  # noqa: F401
     for part in work:
         assert own is not None
         problems += run(part.choices, part.dataset, part.root, part.sequences, own, jobs, cluster, watch)
     if output and found["dtb70"] and with_ratios:
-        _run_ratios(Path(found["dtb70"].root), output / "table4", ranks, data, finetune_steps, jobs, watch)
+        place = Path(found["dtb70"].root)
+        run_ratios(MODELS[BASELINE], place, output / "table4", ranks, data, finetune_steps, jobs, watch)
     ours = _collect(found, [*([own] if own and own.is_dir() else []), *results], output, watch)
     made = tables(ours, chosen)
     files: list[Path] = []
@@ -241,10 +248,25 @@ def _plan(work: list[_Work], results: Path | None, watch: Watch) -> tuple[list[P
     planned = [
         Planned(part.dataset, choice.name, len(sequences), frames, rate and rate * frames)
         for part, choice, sequences in pending
+        if choice.name not in closed
         for frames, rate in [(sum(map(len, sequences)), rates[choice.name])]
     ]
     usable = [dataclasses.replace(part, choices=[c for c in part.choices if c.name not in closed]) for part in work]
     return planned, problems, [part for part in usable if part.choices]
+
+
+def _plan_ratios(
+    found: dict[str, Found | None], output: Path | None, results: Path | None, tuned: bool
+) -> list[Planned]:
+    """Return the networks of Table 4 that are left, each as slow as the unpruned one; fine-tuning is not counted."""
+    left = ratios_left(output / "table4" if output else None, tuned)
+    place = found["dtb70"]
+    if not left or place is None:
+        return []
+    sequences = BENCHMARKS["dtb70"].read(Path(place.root))
+    rate = seconds_per_frame(_models()[0][0], sequences[0], results)
+    frames = left * place.frames
+    return [Planned("dtb70", f"{left} networks of Table 4", left * len(sequences), frames, rate and rate * frames)]
 
 
 def _collect(found: dict[str, Found | None], folders: list[Path], output: Path | None, watch: Watch) -> Reproduction:
@@ -255,7 +277,7 @@ def _collect(found: dict[str, Found | None], folders: list[Path], output: Path |
             comparison, _ = compare(name, Path(place.root), folders, allow_missing=True)
             if comparison is not None:
                 comparisons.append(comparison)
-    cells, budget = _read_ratios(output / "table4") if output else ([], 0)
+    cells, budget = read_ratios(output / "table4") if output else ([], 0)
     return Reproduction(comparisons, _parameters(), cells, budget)
 
 
@@ -268,47 +290,3 @@ def _parameters() -> dict[str, int]:
     from psiamfcpp.zoo import weights_path
 
     return {name: facts(read(weights_path(model))[0])["parameters"] for name, model in MODELS.items()}
-
-
-def _run_ratios(
-    root: Path, folder: Path, ranks: Path | None, data: Sequence[str], steps: int, jobs: int, watch: Watch
-) -> None:
-    """Measure the networks of Table 4 that are not measured yet."""
-    from psiamfcpp.recipes.rank import rank
-    from psiamfcpp.recipes.sensitivity import Cell, Setup, measure_all
-    from psiamfcpp.training.options import SHORT
-
-    model, options = (
-        MODELS[BASELINE],
-        dataclasses.replace(SHORT, schedule=dataclasses.replace(SHORT.schedule, steps=steps)),
-    )
-    if ranks is None:
-        ranks = folder.parent / "ranks.json"
-        folder.parent.mkdir(parents=True, exist_ok=True)
-        rank(model, data, ranks, watch=watch)
-    wanted = [
-        Cell(row, ratio, tuned=tuned)
-        for tuned in ((False, True) if data else (False,))
-        for row in _ablation()
-        for ratio in pruned_layers()[0].precision
-    ]
-    setup = Setup(model, ranks, root, tuple(data), options)
-    for _ in watch.track(measure_all(setup, wanted, folder, jobs), "networks of Table 4", len(wanted)):
-        pass
-
-
-def _read_ratios(folder: Path) -> tuple[list[dict[str, object]], int]:
-    """Return the cells of Table 4 that are measured, with the paper's name of their layer, and the budget."""
-    if not (folder / "setup.json").is_file():
-        return [], 0
-    names = dict(zip(_ablation(), (layer.layer for layer in pruned_layers()), strict=True))
-    cells = [json.loads(path.read_text()) for path in sorted(folder.glob("*.json")) if path.name != "setup.json"]
-    budget = json.loads((folder / "setup.json").read_text())["options"]["schedule"]["steps"]
-    return [{**cell, "layer": names[cell["row"]]} for cell in cells if cell.get("row") in names], budget
-
-
-def _ablation() -> list[str]:
-    """Return the rows of Table 4 as the package calls them, in the paper's order."""
-    from psiamfcpp.models.arch import DEFAULT, architecture
-
-    return list(architecture(DEFAULT).ablation)

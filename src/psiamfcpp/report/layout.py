@@ -171,7 +171,7 @@ def _group_lines(table: Table) -> list[str]:
         return []
     titles, rules, start = [""], [], 2
     for title, width in table.groups:
-        titles.append(rf"\multicolumn{{{width}}}{{c}}{{{escape(title)}}}" if title else "")
+        titles += [rf"\multicolumn{{{width}}}{{c}}{{{escape(title)}}}"] if title else [""] * width
         rules += [rf"\cmidrule(lr){{{start}-{start + width - 1}}}"] if title else []
         start += width
     return [" & ".join(titles) + r" \\", "".join(rules)]

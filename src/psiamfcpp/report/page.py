@@ -11,7 +11,7 @@ from psiamfcpp.evaluation.metrics import Convention
 from psiamfcpp.report.compare import PAPER, Comparison, average
 from psiamfcpp.report.layout import NONE, Cell, Row, Table, number, ranks
 from psiamfcpp.report.published import Published, averaged, pruned_layers
-from psiamfcpp.report.tables import by_attribute, difference_table, figures_table
+from psiamfcpp.report.tables import by_attribute, difference_table, figures_table, share
 from psiamfcpp.version import __version__
 
 MEANINGS: dict[Convention, str] = {
@@ -51,13 +51,13 @@ def page(
         "page.html.j2",
         title=f"Tracking on {', '.join(c.title for c in comparisons)}",
         comparisons=comparisons,
-        overview=_overview,
+        overview=lambda found, kind: _overview(found, kind, percent),
         plots=lambda dataset, kind: _plots(plots, dataset, kind),
         overlaps=lambda dataset: _overlaps(plots, dataset),
         figures=lambda c, kind: figures_table(c, kind, percent),
         differences=difference_table,
-        attributes=_attributes,
-        sequences=_sequences,
+        attributes=lambda c, kind: _attributes(c, kind, percent),
+        sequences=lambda c, kind: _sequences(c, kind, percent),
         ratios={c.dataset: _pruning_ratios(c.dataset) for c in comparisons},
         averages=_averages(averages),
         strips=strips,
@@ -96,7 +96,7 @@ def _overlaps(plots: Mapping[str, bytes], dataset: str) -> list[tuple[str, str]]
     ]
 
 
-def _overview(comparisons: list[Comparison], kind: Convention) -> Table:
+def _overview(comparisons: list[Comparison], kind: Convention, percent: bool) -> Table:
     trackers = list(dict.fromkeys(entry.tracker for c in comparisons for entry in c.measured))
     groups = [*([c] for c in comparisons), comparisons]
     found = {t: [average(g, t, kind, key) for g in groups for key in ("precision", "auc")] for t in trackers}
@@ -105,36 +105,41 @@ def _overview(comparisons: list[Comparison], kind: Convention) -> Table:
     return Table(
         f"Convention {kind}.",
         ["Tracker"] + ["Prec.", "AUC"] * len(groups),
-        [Row(t, [number(v, columns[i][row]) for i, v in enumerate(found[t])]) for row, t in enumerate(trackers)],
+        [
+            Row(t, [share(v, percent, columns[i][row]) for i, v in enumerate(found[t])])
+            for row, t in enumerate(trackers)
+        ],
         groups=[*((c.title, 2) for c in comparisons), ("Average", 2)],
     )
 
 
-def _attributes(comparison: Comparison, kind: Convention) -> Table:
+def _attributes(comparison: Comparison, kind: Convention, percent: bool) -> Table:
     found = {entry.tracker: by_attribute(comparison, entry, kind) for entry in comparison.measured}
     note = "Precision / AUC over the sequences of each attribute; their number in brackets. The benchmark's files do "
     note += "not name their columns: see the documentation on attributes."
     named = [(name, of) for name, of in comparison.attributes.items() if of]
-    return _grid(note, found, {f"{name} ({len(of)})": [f.get(name) for f in found.values()] for name, of in named})
+    lines = {f"{name} ({len(of)})": [f.get(name) for f in found.values()] for name, of in named}
+    return _grid(note, found, lines, percent)
 
 
-def _sequences(comparison: Comparison, kind: Convention) -> Table:
+def _sequences(comparison: Comparison, kind: Convention, percent: bool) -> Table:
     entries = comparison.measured
     lines = {name: [entry.figures[kind].get(name) for entry in entries] for name in comparison.sequences}
-    return _grid("Precision / AUC.", [entry.tracker for entry in entries], lines)
+    return _grid("Precision / AUC.", [entry.tracker for entry in entries], lines, percent)
 
 
-def _grid(note: str, trackers: Iterable[str], lines: Mapping[str, list[dict[str, float] | None]]) -> Table:
+def _grid(
+    note: str, trackers: Iterable[str], lines: Mapping[str, list[dict[str, float] | None]], percent: bool
+) -> Table:
     """Return a table of a row per sequence or attribute and a column per tracker."""
-    return Table(
-        note,
-        ["", *trackers],
-        [
-            Row(name, [Cell(f"{f['precision']:.3f} / {f['auc']:.3f}", heat=f"{f['auc']:.2f}") if f else Cell(NONE)
-                       for f in figures])
-            for name, figures in lines.items()
-        ],
-    )  # fmt: skip
+
+    def cell(found: dict[str, float] | None) -> Cell:
+        if found is None:
+            return Cell(NONE)
+        shown = " / ".join(share(found[key], percent).text for key in ("precision", "auc"))
+        return Cell(shown, heat=f"{found['auc']:.2f}")
+
+    return Table(note, ["", *trackers], [Row(name, list(map(cell, figures))) for name, figures in lines.items()])
 
 
 def _averages(averages: list[Published]) -> Table:

@@ -125,6 +125,7 @@ def attribute_radar(comparison: Comparison, convention: Convention, styles: Styl
     shown = [f"{name.replace(' ', chr(10), 1)} ({len(comparison.attributes[name])})" for name in names]
     axes.set_xticks(angles, shown, fontsize=6.5)
     axes.tick_params(axis="y", labelsize=6.5)
+    axes.tick_params(axis="x", pad=9)
     axes.set_title(f"AUC by attribute on {comparison.title}", fontsize=10, pad=16)
     figure.legend(loc="outside lower center", ncols=2, fontsize=8.5, frameon=False)
     return figure

@@ -197,8 +197,14 @@ def _table_4(found: Reproduction) -> Table:
 
 
 def conditions(found: Reproduction) -> list[str]:
-    """Return under what conditions our speeds were measured, each once."""
-    return list(dict.fromkeys(m.source for c in found.comparisons for m in c.measured if m.run))
+    """Return what our networks are, and under what conditions speeds were measured, each once."""
+    runs = [(m, m.run) for c in found.comparisons for m in c.measured if m.run]
+    ours = [
+        f"{m.tracker} is {run['identity']['entry']}, engine {run['identity']['engine'] or 'by default'}"
+        for m, run in runs
+        if run["identity"].get("engine", "") != ""
+    ]
+    return list(dict.fromkeys([*ours, *(f"Speeds: {m.source}" for m, _ in runs)]))
 
 
 def _not_whole(found: Reproduction) -> str:

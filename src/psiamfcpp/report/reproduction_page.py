@@ -61,7 +61,7 @@ def write_reproduction(
         "reproduce.html.j2",
         title=_TITLE,
         there=there,
-        speeds=conditions(found),
+        conditions=conditions(found),
         problems=problems,
         tables=tables,
         comparisons=found.comparisons,
