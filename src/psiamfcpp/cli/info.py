@@ -20,7 +20,7 @@ def info(model: Model, json: Json = False) -> None:
         **cost(spec),
         "search_size": spec.search_size,
         "constants": dataclasses.asdict(spec.constants),
-        "calibration": dataclasses.asdict(spec.calibration),
+        "calibration": dataclasses.asdict(spec.calibration) if spec.calibration else None,
         "provenance": spec.provenance,
     }
     if json:

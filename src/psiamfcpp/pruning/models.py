@@ -7,7 +7,7 @@ import dataclasses
 import torch
 from torch import Tensor
 
-from psiamfcpp.models import SiamFCpp, build
+from psiamfcpp.models import Network, build
 from psiamfcpp.models.arch import Architecture
 from psiamfcpp.pruning.groups import Group
 from psiamfcpp.pruning.planning import Plan
@@ -31,7 +31,7 @@ def groups_of(spec: ModelSpec) -> dict[str, Group]:
     }
 
 
-def prune_model(model: SiamFCpp, plan: Plan) -> SiamFCpp:
+def prune_model(model: Network, plan: Plan) -> Network:
     """Return a copy of a network with the filters that a plan keeps; its spec differs in the widths alone.
 
     Raises:
