@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from psiamfcpp.models.arch import Architecture, opened
+from psiamfcpp.models.arch import OPERATIONS, Architecture, opened
 from psiamfcpp.models.network import ConvBlock, Network
 
 Float32Array = NDArray[np.float32]
@@ -42,7 +42,7 @@ def folded(model: Network) -> dict[str, Layer]:
     """Return the network's blocks as they are named in graphs, BatchNorm folded in, joined layers side by side."""
     found: dict[str, Layer] = {}
     for row in model.spec.arch.layers:
-        if row.operation == "convolution":
+        if OPERATIONS[row.operation].weighted:
             block, name = model.get_submodule(row.name), row.joined or row.name
             assert isinstance(block, ConvBlock)
             found[name] = _side_by_side(found[name], _fold(block)) if name in found else _fold(block)

@@ -7,6 +7,7 @@ import dataclasses
 import torch
 from torch import Tensor
 
+from psiamfcpp.errors import UserError
 from psiamfcpp.models import Network, build
 from psiamfcpp.models.arch import Architecture
 from psiamfcpp.pruning.groups import Group
@@ -14,10 +15,19 @@ from psiamfcpp.pruning.planning import Plan
 from psiamfcpp.pruning.surgery import prune
 from psiamfcpp.spec import ModelSpec
 
+# Operations through which filters are followed to what reads them.
+_KNOWN = {"convolution", "correlation"}
+
 
 def groups_of(spec: ModelSpec) -> dict[str, Group]:
-    """Return the groups of a network by name, from the table of its architecture and its widths."""
+    """Return the groups of a network by name, from the table of its architecture and its widths.
+
+    Raises:
+        UserError: the table has operations for which it is not known yet what goes with a filter.
+    """
     arch = spec.arch
+    if not {layer.operation for layer in arch.layers} <= _KNOWN:
+        raise UserError(f"a model of architecture {spec.architecture} cannot be ranked or pruned yet: give a SiamFC++")
     members = {name: [layer.name for layer in arch.layers if layer.group == name] for name in arch.groups}
     return {
         name: Group(
