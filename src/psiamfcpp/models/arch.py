@@ -137,7 +137,7 @@ class Architecture:
     layers: tuple[Layer, ...]
     """in the order in which the network makes its modules; what a layer reads stands before it"""
     network: str
-    """``module:Class`` of the torch network; see `psiamfcpp.models.network.SiamFCpp` for what it offers.
+    """``module:Class`` of the torch network; see `psiamfcpp.models.network.Network` for what it offers.
 
     It takes a `psiamfcpp.spec.ModelSpec`, keeps it as ``spec``, and names its modules as the table does; those of its
     part ``backbone`` are thawed one by one. `psiamfcpp.models.build` opens it."""
