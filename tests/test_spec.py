@@ -86,7 +86,7 @@ def described(**changes: Any) -> str:
         (described(constants={"test_rl": 0.5}), "'test_rl' in TrackingConstants: did you mean 'test_lr'"),
         (described(calibration={"zzz": 1}), "unknown key 'zzz' in Calibration; known are bias, score_weight"),
         (described(constants=[1, 2, 3]), "TrackingConstants in the model description is not an object"),
-        (described(calibration=None), "Calibration in the model description is not an object"),
+        (described(calibration=7), "Calibration in the model description is not an object"),
         (described(search_size="303"), "search_size in ModelSpec is '303', which is no such number"),
         (described(search_size=303.0), "search_size in ModelSpec is 303.0"),
         (described(constants={"test_lr": "fast"}), "test_lr in TrackingConstants is 'fast'"),
@@ -127,3 +127,12 @@ def test_widths_name_the_thirteen_groups(widths: dict[str, int], message: str) -
 def test_two_specs_do_not_share_their_widths() -> None:
     ModelSpec().widths["neck.cls"] = 1
     assert ModelSpec().widths["neck.cls"] == FULL_WIDTHS["neck.cls"] == 256
+
+
+def test_a_model_may_have_no_calibration() -> None:
+    spec = ModelSpec(calibration=None)
+    assert json.loads(spec.to_json())["calibration"] is None
+    assert ModelSpec.from_json(spec.to_json()) == spec
+    # one that says nothing about it, as those of version 0.1 may, has the default
+    without = {key: value for key, value in json.loads(spec.to_json()).items() if key != "calibration"}
+    assert ModelSpec.from_json(json.dumps(without)) == ModelSpec()

@@ -65,7 +65,8 @@ class ModelSpec:
     template_size: int = TEMPLATE_SIZE
     search_size: int = architecture(DEFAULT).search_size
     constants: TrackingConstants = TrackingConstants()
-    calibration: Calibration = Calibration()
+    calibration: Calibration | None = Calibration()
+    """None where none was fitted: then the published procedure is followed, and no state is stated"""
     provenance: dict[str, Any] = field(default_factory=dict)
     architecture: str = DEFAULT
     """a key of `psiamfcpp.models.arch.ARCHITECTURES`"""
@@ -101,7 +102,8 @@ class ModelSpec:
         if not isinstance(data, dict) or data.pop("format", None) != FORMAT:
             raise UserError(f"model description is not {FORMAT}: the file comes from another program or version")
         constants = _build(TrackingConstants, data.pop("constants", {}))
-        calibration = _build(Calibration, data.pop("calibration", {}))
+        calibration = data.pop("calibration", {})
+        calibration = None if calibration is None else _build(Calibration, calibration)
         return _build(cls, {**data, "constants": constants, "calibration": calibration})
 
 

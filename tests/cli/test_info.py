@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import pickle
 from pathlib import Path
@@ -10,7 +11,7 @@ import pytest
 import torch
 from safetensors.torch import save_file
 
-from psiamfcpp.models import load
+from psiamfcpp.models import load, save
 from psiamfcpp.models.official import _RENAMES
 from psiamfcpp.spec import FULL_WIDTHS
 
@@ -116,3 +117,11 @@ def test_import_converts_an_official_checkpoint(run: Run, tmp_path: Path, full_m
     # and where it cannot be written, nothing is left
     assert "cannot be written" in run("import", tmp_path / "official.pkl", "-o", output / "x.safetensors").refused()
     assert sorted(p.name for p in tmp_path.iterdir()) == ["official.pkl", "ours.safetensors"]
+
+
+def test_info_of_a_model_without_calibration(run: Run, tmp_path: Path, tiny_model: Path) -> None:
+    network = load(tiny_model)
+    network.spec = dataclasses.replace(network.spec, calibration=None)
+    save(tmp_path / "open.safetensors", network)
+    assert "calibration  none\n" in run("info", tmp_path / "open.safetensors").out
+    assert json.loads(run("info", tmp_path / "open.safetensors", "--json").out)["calibration"] is None

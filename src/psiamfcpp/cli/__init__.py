@@ -39,7 +39,7 @@ COMMANDS = {
     "calibrate": "fit the confidence that parts tracking, unsure and lost",
     "bench": "time models, engines and peers in turn, and say where the time goes",
     "export": "write the graphs that run a model without torch, checked against it",
-    "import": "convert an official SiamFC++ checkpoint",
+    "import": "convert an official SiamFC++ checkpoint or LightFC's graphs",
 }
 
 # What only an extra installs, and which.

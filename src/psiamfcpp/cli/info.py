@@ -20,7 +20,7 @@ def info(model: Model, json: Json = False) -> None:
         **cost(spec),
         "search_size": spec.search_size,
         "constants": dataclasses.asdict(spec.constants),
-        "calibration": dataclasses.asdict(spec.calibration),
+        "calibration": dataclasses.asdict(spec.calibration) if spec.calibration else None,
         "provenance": spec.provenance,
     }
     if json:
@@ -31,4 +31,5 @@ def info(model: Model, json: Json = False) -> None:
     print(f"search       {facts['gmacs']:.2f} GMAC at {spec.search_size} pixels")
     print("widths       " + ", ".join(f"{name} {width}" for name, width in spec.widths.items()))
     for title in ("constants", "calibration", "provenance"):
-        print(f"{title:12} " + ", ".join(f"{key} {value}" for key, value in facts[title].items()))
+        said = ", ".join(f"{key} {value}" for key, value in (facts[title] or {}).items())
+        print(f"{title:12} {said or 'none'}")

@@ -60,14 +60,17 @@ class Builder:
         self.constants[name] = numpy_helper.from_array(array, name)
         return name
 
-    def conv(self, name: str, x: str, relu: bool, stride: int = 1) -> str:
+    def conv(self, name: str, x: str, relu: bool, stride: int = 1, padding: int = 0, groups: int = 1) -> str:
         """The layer of that name, quantized if its input's range is known."""
         layer = self.layers[name]
         if name in self.ranges.inputs:
             x, weight, bias = self._quantized(name, x, layer)
         else:
             weight, bias = self._half(name, layer), self.constant(layer.bias, f"{name}.bias")
-        out = self.add("Conv", x, weight, bias, name=name, strides=[stride, stride])
+        more: dict[str, Any] = {"pads": [padding] * 4} if padding else {}
+        if groups > 1:
+            more["group"] = groups
+        out = self.add("Conv", x, weight, bias, name=name, strides=[stride, stride], **more)
         return self.add("Relu", out, name=f"{name}.relu") if relu else out
 
     def _half(self, name: str, layer: Layer) -> str:

@@ -15,7 +15,7 @@ from psiamfcpp.export.crops import Pair
 from psiamfcpp.export.graph import Ranges, search_graph, template_graph
 from psiamfcpp.export.layers import Layer, layers
 from psiamfcpp.export.parity import Difference, compare, look
-from psiamfcpp.models import SiamFCpp
+from psiamfcpp.models import Network
 from psiamfcpp.runtime import open_engine
 from psiamfcpp.runtime.torch_engine import TorchEngine
 from psiamfcpp.spec import ModelSpec
@@ -23,7 +23,7 @@ from psiamfcpp.spec import ModelSpec
 Format = Literal["onnx", "openvino"]
 
 
-def write_graphs(model: SiamFCpp, folder: Path, form: Format, ranges: Ranges, pairs: list[Pair]) -> Difference:
+def write_graphs(model: Network, folder: Path, form: Format, ranges: Ranges, pairs: list[Pair]) -> Difference:
     """Write the graphs of a model into a folder.
 
     Args:

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from psiamfcpp.models.arch import Architecture, opened
-from psiamfcpp.models.network import ConvBlock, SiamFCpp
+from psiamfcpp.models.arch import OPERATIONS, Architecture, opened
+from psiamfcpp.models.network import ConvBlock, Network
 
 Float32Array = NDArray[np.float32]
 
@@ -27,7 +27,7 @@ class Layer:
     """``(outputs,)``, BatchNorm folded in"""
 
 
-def layers(model: SiamFCpp) -> dict[str, Layer]:
+def layers(model: Network) -> dict[str, Layer]:
     """Return the convolutions of both graphs, by the name that they get there.
 
     Layers that read the same input are one where the table joins them. Every width in between is a multiple of four,
@@ -38,11 +38,11 @@ def layers(model: SiamFCpp) -> dict[str, Layer]:
     return found
 
 
-def folded(model: SiamFCpp) -> dict[str, Layer]:
+def folded(model: Network) -> dict[str, Layer]:
     """Return the network's blocks as they are named in graphs, BatchNorm folded in, joined layers side by side."""
     found: dict[str, Layer] = {}
     for row in model.spec.arch.layers:
-        if row.operation == "convolution":
+        if OPERATIONS[row.operation].weighted:
             block, name = model.get_submodule(row.name), row.joined or row.name
             assert isinstance(block, ConvBlock)
             found[name] = _side_by_side(found[name], _fold(block)) if name in found else _fold(block)

@@ -9,6 +9,7 @@ import numpy as np
 from onnx import TensorProto, helper
 from onnxruntime import InferenceSession
 
+from psiamfcpp.errors import UserError
 from psiamfcpp.export.crops import Pair
 from psiamfcpp.export.graph import Ranges, search_graph, template_graph
 from psiamfcpp.export.layers import Float32Array, Layer
@@ -30,10 +31,13 @@ def measure(spec: ModelSpec, layers: Mapping[str, Layer], pairs: list[Pair]) -> 
         spec: the model's.
         layers: the model's.
         pairs: crops to look at.
+
+    Raises:
+        UserError: the architecture has no 8-bit graphs.
     """
+    correlated, correlation = _correlation(spec)
     graph = search_graph(spec, layers, Ranges())
     inputs = {n.name: n.input[0] for n in graph.graph.node if n.op_type == "Conv" and n.name in layers}
-    correlated, correlation = _correlation(spec)
     tensors = sorted({*inputs.values(), correlated, correlation})
     graph.graph.output.extend(helper.make_tensor_value_info(t, TensorProto.FLOAT, None) for t in tensors)
     search = open_session(graph.SerializeToString(), None, spec.search_size)
@@ -69,7 +73,9 @@ def _kernels(template: InferenceSession, pair: Pair) -> dict[str, Float32Array]:
 
 def _correlation(spec: ModelSpec) -> tuple[str, str]:
     """Names, in the graphs, of the features that are correlated and of the correlation."""
-    row = next(layer for layer in spec.arch.layers if layer.operation == "correlation")
+    row = next((layer for layer in spec.arch.layers if layer.operation == "correlation"), None)
+    if row is None:
+        raise UserError(f"architecture {spec.architecture} has no 8-bit graphs yet: leave out --int8")
     return spec.arch.exported(row.reads[0]), spec.arch.exported(row.name)
 
 

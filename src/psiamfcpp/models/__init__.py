@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from psiamfcpp.models.checkpoint import build, load, save
-    from psiamfcpp.models.network import SiamFCpp
+    from psiamfcpp.models.network import Network, SiamFCpp
 
-__all__ = ["SiamFCpp", "build", "load", "save"]
+__all__ = ["Network", "SiamFCpp", "build", "load", "save"]
 
 
 def __getattr__(name: str) -> Any:
@@ -17,4 +17,4 @@ def __getattr__(name: str) -> Any:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     from psiamfcpp.models import checkpoint, network
 
-    return getattr(network if name == "SiamFCpp" else checkpoint, name)
+    return getattr(checkpoint if name in ("build", "load", "save") else network, name)

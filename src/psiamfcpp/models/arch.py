@@ -19,7 +19,7 @@ PIXELS = "pixels"
 # Architecture of files that name none, as those of version 0.1.
 DEFAULT = "siamfcpp-alexnet"
 # Name of each architecture, and the module whose ``ARCHITECTURE`` is its table.
-ARCHITECTURES = {DEFAULT: "psiamfcpp.models.siamfcpp_alexnet"}
+ARCHITECTURES = {DEFAULT: "psiamfcpp.models.siamfcpp_alexnet", "lightfc": "psiamfcpp.models.lightfc_table"}
 
 Output = TypeVar("Output")
 
@@ -39,8 +39,12 @@ class Layer:
     stride: int = 1
     bn: bool = True
     """whether BatchNorm follows"""
+    padding: int = 0
+    """rows and columns of zeros on each side"""
     relu: bool = True
     """whether ReLU follows"""
+    activation: str | None = None
+    """what follows in place of ReLU: relu6, gelu or sigmoid"""
     pool: tuple[int, int] | None = None
     """kernel and stride of the max-pool at the end, which rounds sizes up"""
     operation: str = "convolution"
@@ -75,20 +79,54 @@ class Operation:
     """number of channels, from the layer's own width"""
     macs: Callable[[Layer, list[int], list[int], int, int], int]
     """multiply-accumulates, from layer, sides, widths, own side and own width"""
+    weighted: bool = False
+    """a convolution, with weights of its own"""
+    crossed: bool = False
+    """a correlation, whose second input comes from the template crop"""
+
+
+def _side_of_convolution(layer: Layer, sides: list[int]) -> int:
+    return (sides[0] + 2 * layer.padding - layer.kernel) // layer.stride + 1
+
+
+def _without_weights(width: Callable[[int, list[int]], int], side: int | None = None) -> Operation:
+    """Return an operation whose few operations are not counted; ``side`` where it is not that of the first input."""
+    return Operation(lambda layer, sides: side or sides[0], width, lambda *_: 0)
 
 
 OPERATIONS: dict[str, Operation] = {
     "convolution": Operation(
-        side=lambda layer, sides: (sides[0] - layer.kernel) // layer.stride + 1,
+        side=_side_of_convolution,
         width=lambda own, widths: own,
         macs=lambda layer, sides, widths, side, width: layer.kernel**2 * widths[0] * width * side**2,
+        weighted=True,
+    ),
+    # A filter for each channel.
+    "depthwise": Operation(
+        side=_side_of_convolution,
+        width=lambda own, widths: widths[0],
+        macs=lambda layer, sides, widths, side, width: layer.kernel**2 * width * side**2,
+        weighted=True,
     ),
     # Channel by channel, with the template's map as kernel.
     "correlation": Operation(
         side=lambda layer, sides: sides[0] - sides[1] + 1,
         width=lambda own, widths: widths[0],
         macs=lambda layer, sides, widths, side, width: width * sides[1] ** 2 * side**2,
+        crossed=True,
     ),
+    # Each cell of the search features with each cell of the template's; a channel for each cell of the template.
+    "cells": Operation(
+        side=lambda layer, sides: sides[0],
+        width=lambda own, widths: own,
+        macs=lambda layer, sides, widths, side, width: widths[0] * width * side**2,
+        crossed=True,
+    ),
+    "sum": _without_weights(lambda own, widths: widths[0]),
+    "join": _without_weights(lambda own, widths: sum(widths)),
+    "mean": _without_weights(lambda own, widths: widths[0], side=1),
+    # A map times a factor for each channel.
+    "gate": _without_weights(lambda own, widths: widths[0]),
 }
 
 
@@ -99,12 +137,14 @@ class Architecture:
     layers: tuple[Layer, ...]
     """in the order in which the network makes its modules; what a layer reads stands before it"""
     network: str
-    """``module:Class`` of the torch network; see `psiamfcpp.models.network.SiamFCpp` for what it offers.
+    """``module:Class`` of the torch network; see `psiamfcpp.models.network.Network` for what it offers.
 
     It takes a `psiamfcpp.spec.ModelSpec`, keeps it as ``spec``, and names its modules as the table does; those of its
     part ``backbone`` are thawed one by one. `psiamfcpp.models.build` opens it."""
     exporter: str
     """module with ``layers(model)``, ``template_graph`` and ``search_graph``, see `psiamfcpp.export.graph`"""
+    procedure: str
+    """``module:NAME`` of how it is followed with, see `psiamfcpp.trackers.siamfcpp.procedure.Procedure`"""
     template_size: int
     """side of the template crop, pixels"""
     search_size: int
@@ -160,7 +200,7 @@ class Architecture:
                 return
             seen[name].add(view)
             for number, read in enumerate(self[name].reads):
-                visit(read, "template" if number and self[name].operation == "correlation" else view)
+                visit(read, "template" if number and OPERATIONS[self[name].operation].crossed else view)
 
         for layer in self.outputs:
             visit(layer.name, "search")
@@ -250,7 +290,7 @@ def _searched(arch: Architecture, search_size: int) -> list[tuple[Layer, list[in
 
 def _sides_read(arch: Architecture, layer: Layer, crop: int, template_size: int) -> list[int]:
     """Sides of what a layer reads; the kernels of a correlation come from the template crop."""
-    crops = [crop, template_size] if layer.operation == "correlation" else [crop] * len(layer.reads)
+    crops = [crop, template_size] if OPERATIONS[layer.operation].crossed else [crop] * len(layer.reads)
     return [arch.side(read, size, template_size) for read, size in zip(layer.reads, crops, strict=True)]
 
 
@@ -274,22 +314,20 @@ def by_depth(layers: Iterable[Layer]) -> list[Layer]:
     return [known[name] for name in sorted(depth, key=depth.__getitem__)]
 
 
-def walk(
-    layers: Iterable[Layer], maps: Mapping[str, Output], apply: Callable[[Layer, Output], Output]
-) -> dict[str, Output]:
-    """Run layers of one input each, in the given order, whatever stands for their maps.
+def walk(layers: Iterable[Layer], maps: Mapping[str, Output], apply: Callable[..., Output]) -> dict[str, Output]:
+    """Run layers in the given order, whatever stands for their maps.
 
     Args:
         layers: rows, each behind what it reads.
         maps: what is there before, by name.
-        apply: gives a layer's map from the map that it reads.
+        apply: gives a layer's map from the layer and the maps that it reads.
 
     Returns:
         The maps given and made, by name.
     """
     found = dict(maps)
     for layer in layers:
-        found[layer.name] = apply(layer, found[layer.reads[0]])
+        found[layer.name] = apply(layer, *(found[read] for read in layer.reads))
     return found
 
 

@@ -12,12 +12,12 @@ from torch import Tensor
 from psiamfcpp.errors import UserError
 from psiamfcpp.files import write_whole
 from psiamfcpp.models.arch import opened
-from psiamfcpp.models.network import SiamFCpp
+from psiamfcpp.models.network import Network
 from psiamfcpp.spec import ModelSpec
 from psiamfcpp.zoo import weights_path
 
 
-def load(path_or_name: str | Path) -> SiamFCpp:
+def load(path_or_name: str | Path) -> Network:
     """A network from a checkpoint file or from the name of shipped weights, in evaluation mode, float32.
 
     Raises:
@@ -30,9 +30,9 @@ def load(path_or_name: str | Path) -> SiamFCpp:
     return model.eval()
 
 
-def build(spec: ModelSpec) -> SiamFCpp:
+def build(spec: ModelSpec) -> Network:
     """Return a new network of a spec's architecture and widths, its weights random."""
-    network: SiamFCpp = opened(spec.arch.network)(spec)
+    network: Network = opened(spec.arch.network)(spec)
     return network
 
 
@@ -54,7 +54,7 @@ def read(path: Path) -> tuple[ModelSpec, dict[str, Tensor]]:
         raise error if str(path) in str(error) else UserError(f"checkpoint {path}: {error}") from None
 
 
-def save(path: Path, model: SiamFCpp, dtype: torch.dtype = torch.float32) -> None:
+def save(path: Path, model: Network, dtype: torch.dtype = torch.float32) -> None:
     """Write a checkpoint, completely or not at all; its folder is made.
 
     Args:
@@ -69,7 +69,7 @@ def save(path: Path, model: SiamFCpp, dtype: torch.dtype = torch.float32) -> Non
     write_whole(path, safetensors.torch.save(tensors, {"psiamfcpp": model.spec.to_json()}))
 
 
-def fit(model: SiamFCpp, weights: dict[str, Tensor], origin: str) -> None:
+def fit(model: Network, weights: dict[str, Tensor], origin: str) -> None:
     """Copy weights into the model; every name and every shape must match.
 
     BatchNorm's ``num_batches_tracked`` counts training steps, is no weight, and may be absent.

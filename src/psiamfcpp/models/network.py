@@ -10,7 +10,8 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 from torch.nn.utils.fusion import fuse_conv_bn_weights
 
-from psiamfcpp.models.arch import PIXELS, Layer, by_depth, walk
+from psiamfcpp.errors import UserError
+from psiamfcpp.models.arch import OPERATIONS, PIXELS, Layer, by_depth, walk
 from psiamfcpp.spec import STRIDE, ModelSpec, first_cell
 
 Kernels = tuple[Tensor, Tensor]
@@ -18,11 +19,21 @@ Maps = tuple[Tensor, Tensor, Tensor]
 
 
 class ConvBlock(nn.Module):
-    """Convolution with bias and without padding, then BatchNorm and ReLU where the design has them."""
+    """Convolution with bias, then BatchNorm and ReLU where the design has them."""
 
-    def __init__(self, inputs: int, outputs: int, kernel: int, stride: int = 1, bn: bool = True, relu: bool = True):
+    def __init__(
+        self,
+        inputs: int,
+        outputs: int,
+        kernel: int,
+        stride: int = 1,
+        bn: bool = True,
+        relu: bool = True,
+        padding: int = 0,
+        groups: int = 1,
+    ):
         super().__init__()
-        self.conv = nn.Conv2d(inputs, outputs, kernel, stride)
+        self.conv = nn.Conv2d(inputs, outputs, kernel, stride, padding, groups=groups)
         self.bn = nn.BatchNorm2d(outputs) if bn else None
         self.relu = relu
 
@@ -34,7 +45,8 @@ class ConvBlock(nn.Module):
             x = self.bn(self.conv(x))
         else:
             # Frozen, BatchNorm is a part of the convolution: that saves a pass over what can be very large maps.
-            x = F.conv2d(x, *self._folded(self.bn), self.conv.stride)
+            conv = self.conv
+            x = F.conv2d(x, *self._folded(self.bn), conv.stride, conv.padding, groups=conv.groups)
         return F.relu(x, inplace=True) if self.relu else x
 
     def _folded(self, bn: nn.BatchNorm2d) -> tuple[Tensor, Tensor | None]:
@@ -50,8 +62,12 @@ class Part(nn.Module):
         super().__init__()
         self._rows = by_depth(spec.arch.part(part))
         for row in spec.arch.part(part):
+            if not OPERATIONS[row.operation].weighted:
+                continue
             inputs, outputs = (spec.arch.width(name, spec.widths) for name in (row.reads[0], row.name))
-            self.add_module(row.child, ConvBlock(inputs, outputs, row.kernel, row.stride, row.bn, row.relu))
+            groups = inputs if row.operation == "depthwise" else 1
+            block = ConvBlock(inputs, outputs, row.kernel, row.stride, row.bn, row.relu, row.padding, groups)
+            self.add_module(row.child, block)
 
     def walk(self, maps: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """Run all layers; what they read from outside the part is given by name."""
@@ -99,12 +115,31 @@ class Head(Part):
         return maps["head.cls_score"].float().squeeze(1), maps["head.centerness"].float().squeeze(1), distances
 
 
-class SiamFCpp(nn.Module):
-    """SiamFC++ (AlexNet): `template` once for a target, `search` for every frame."""
+class Network(nn.Module):
+    """What files, engines and graphs need of a network: `template` once for a target, `search` for every frame."""
+
+    def __init__(self, spec: ModelSpec):
+        super().__init__()
+        self.spec = spec
+
+    def template(self, z: Tensor) -> tuple[Tensor, ...]:
+        """Return what `search` needs of template crops ``(B, 3, Z, Z)``, BGR, float 0..255."""
+        raise NotImplementedError
+
+    def search(self, x: Tensor, kernels: Any) -> tuple[Tensor, Tensor]:
+        """Return scores ``(B, N, N)`` and boxes ``(B, N, N, 4)`` of search crops ``(B, 3, S, S)``."""
+        raise NotImplementedError
+
+    def forward(self, z: Tensor, x: Tensor) -> tuple[Tensor, Tensor]:
+        """Scores and boxes of one pass through both branches: what graph tracers need."""
+        return self.search(x, self.template(z))
+
+
+class SiamFCpp(Network):
+    """SiamFC++ (AlexNet)."""
 
     def __init__(self, spec: ModelSpec | None = None):
-        super().__init__()
-        self.spec = spec or ModelSpec()
+        super().__init__(spec or ModelSpec())
         self.backbone = Backbone(self.spec)
         self.neck = Part("neck", self.spec)
         self.head = Head(self.spec)
@@ -149,12 +184,19 @@ class SiamFCpp(nn.Module):
         reg = depthwise_correlation(self._neck("reg_search", features), reg_kernel)
         return self.head(cls, reg)
 
-    def forward(self, z: Tensor, x: Tensor) -> tuple[Tensor, Tensor]:
-        """Scores and boxes of one pass through both branches: what graph tracers need."""
-        return self.search(x, self.template(z))
-
     def _neck(self, child: str, features: Tensor) -> Tensor:
         return self.neck.run(self.spec.arch[f"neck.{child}"], features)
+
+
+def trainable(network: Network) -> SiamFCpp:
+    """Return a network as one that the losses of training know.
+
+    Raises:
+        UserError: it is of another architecture than SiamFC++.
+    """
+    if not isinstance(network, SiamFCpp):
+        raise UserError(f"a model of architecture {network.spec.architecture} cannot be trained yet: give a SiamFC++")
+    return network
 
 
 def depthwise_correlation(features: Tensor, kernels: Tensor) -> Tensor:

@@ -52,6 +52,7 @@ ARCHITECTURE = Architecture(
     layers=LAYERS,
     network="psiamfcpp.models.network:SiamFCpp",
     exporter="psiamfcpp.export.siamfcpp",
+    procedure="psiamfcpp.trackers.siamfcpp.procedure:PROCEDURE",
     template_size=127,
     search_size=303,
     sizes=(239, 303),

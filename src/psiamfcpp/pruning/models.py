@@ -7,17 +7,27 @@ import dataclasses
 import torch
 from torch import Tensor
 
-from psiamfcpp.models import SiamFCpp, build
+from psiamfcpp.errors import UserError
+from psiamfcpp.models import Network, build
 from psiamfcpp.models.arch import Architecture
 from psiamfcpp.pruning.groups import Group
 from psiamfcpp.pruning.planning import Plan
 from psiamfcpp.pruning.surgery import prune
 from psiamfcpp.spec import ModelSpec
 
+# Operations through which filters are followed to what reads them.
+_KNOWN = {"convolution", "correlation"}
+
 
 def groups_of(spec: ModelSpec) -> dict[str, Group]:
-    """Return the groups of a network by name, from the table of its architecture and its widths."""
+    """Return the groups of a network by name, from the table of its architecture and its widths.
+
+    Raises:
+        UserError: the table has operations for which it is not known yet what goes with a filter.
+    """
     arch = spec.arch
+    if not {layer.operation for layer in arch.layers} <= _KNOWN:
+        raise UserError(f"a model of architecture {spec.architecture} cannot be ranked or pruned yet: give a SiamFC++")
     members = {name: [layer.name for layer in arch.layers if layer.group == name] for name in arch.groups}
     return {
         name: Group(
@@ -31,7 +41,7 @@ def groups_of(spec: ModelSpec) -> dict[str, Group]:
     }
 
 
-def prune_model(model: SiamFCpp, plan: Plan) -> SiamFCpp:
+def prune_model(model: Network, plan: Plan) -> Network:
     """Return a copy of a network with the filters that a plan keeps; its spec differs in the widths alone.
 
     Raises:

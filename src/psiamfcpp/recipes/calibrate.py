@@ -11,7 +11,7 @@ import torch
 from psiamfcpp import datasets
 from psiamfcpp.datasets.split import split
 from psiamfcpp.errors import UserError
-from psiamfcpp.models import SiamFCpp, load, save
+from psiamfcpp.models import Network, load, save
 from psiamfcpp.recipes.calibration import Rates, cross_rates, fit, gather
 from psiamfcpp.spec import Calibration, TrackingConstants
 from psiamfcpp.trackers.siamfcpp import Tracker
@@ -22,7 +22,7 @@ from psiamfcpp.watch import QUIET, Watch
 class Calibrated:
     """A calibrated network."""
 
-    network: SiamFCpp
+    network: Network
     """its spec holds the calibration, and the rates as provenance"""
     calibration: Calibration
     rates: Rates

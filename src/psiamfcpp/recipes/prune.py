@@ -10,7 +10,7 @@ from typing import Any
 
 from psiamfcpp.datasets.choice import DataChoice
 from psiamfcpp.errors import UserError
-from psiamfcpp.models import SiamFCpp, load, save
+from psiamfcpp.models import Network, load, save
 from psiamfcpp.models.cost import facts
 from psiamfcpp.pruning.models import groups_of, prune_model
 from psiamfcpp.pruning.planning import Plan
@@ -27,7 +27,7 @@ _BATCH = 8
 class Pruned:
     """A pruned network and what it saves."""
 
-    network: SiamFCpp
+    network: Network
     """its spec says from which model and by which plan it was made"""
     before: dict[str, Any]
     """``parameters``, ``gmacs`` and ``widths`` of the model before"""

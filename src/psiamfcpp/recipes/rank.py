@@ -12,7 +12,7 @@ from typing import Any
 
 from psiamfcpp.datasets.choice import DataChoice
 from psiamfcpp.errors import UserError
-from psiamfcpp.models import SiamFCpp, load
+from psiamfcpp.models import Network, load
 from psiamfcpp.pruning.groups import Group
 from psiamfcpp.pruning.models import groups_of
 from psiamfcpp.pruning.plot import draw_ranks
@@ -113,7 +113,7 @@ def summary(ranks: RankTable) -> dict[str, dict[str, Any]]:
 
 
 def _look(
-    network: SiamFCpp,
+    network: Network,
     groups: Mapping[str, Group],
     pairs: PairSampler,
     images: int,

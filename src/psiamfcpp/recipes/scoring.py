@@ -11,7 +11,8 @@ from torch import Tensor
 from psiamfcpp.datasets import Sequence
 from psiamfcpp.datasets.choice import DataChoice
 from psiamfcpp.errors import UserError
-from psiamfcpp.models import SiamFCpp, load
+from psiamfcpp.models import Network, load
+from psiamfcpp.models.network import trainable
 from psiamfcpp.pruning.criteria import Context, Criterion, find_criterion, gradients_of, score_table
 from psiamfcpp.pruning.models import example_inputs, groups_of
 from psiamfcpp.pruning.table import RankTable
@@ -23,7 +24,7 @@ _BATCHES = 8
 
 
 def score_model(
-    model: str | Path | SiamFCpp,
+    model: str | Path | Network,
     criterion: str | Criterion = "rank",
     *,
     ranks: Path | None = None,
@@ -46,7 +47,7 @@ def score_model(
     Raises:
         UserError: a file cannot be read, the rank table is of other widths, or the criterion lacks what it needs.
     """
-    network = model if isinstance(model, SiamFCpp) else load(model)
+    network = model if isinstance(model, Network) else load(model)
     function = find_criterion(criterion) if isinstance(criterion, str) else criterion
     options = TrainOptions(pairs=PairOptions(search_size=network.spec.search_size))
     sequences = DataChoice(tuple(data), held_out_every).training if data else []
@@ -68,7 +69,7 @@ def score_model(
     return dataclasses.replace(table, about=about)
 
 
-def read_ranks(path: Path, network: SiamFCpp) -> RankTable:
+def read_ranks(path: Path, network: Network) -> RankTable:
     """Return the rank table in a file.
 
     Raises:
@@ -80,7 +81,7 @@ def read_ranks(path: Path, network: SiamFCpp) -> RankTable:
     return table
 
 
-def loss_gradients(network: SiamFCpp, sequences: list[Sequence], options: TrainOptions) -> dict[str, Tensor] | None:
+def loss_gradients(network: Network, sequences: list[Sequence], options: TrainOptions) -> dict[str, Tensor] | None:
     """Return the gradient of the training loss for each parameter, summed over a few fixed batches of pairs.
 
     Args:
@@ -89,7 +90,7 @@ def loss_gradients(network: SiamFCpp, sequences: list[Sequence], options: TrainO
         options: losses, pairs and batch of training.
     """
     network.zero_grad()
-    loss = PairLoss(network, options.losses)
+    loss = PairLoss(trainable(network), options.losses)
     for batch in held_out_batches(sequences, options.pairs, _BATCHES * options.batch, options.batch):
         loss(batch)["total"].backward()
     found = gradients_of(network)

@@ -78,11 +78,12 @@ def _start(init: Path, seed: int) -> SiamFCpp:
     from psiamfcpp.models import SiamFCpp, load
     from psiamfcpp.models.alexnet import init_backbone, is_alexnet
     from psiamfcpp.models.initial import init_neck_and_head
+    from psiamfcpp.models.network import trainable
     from psiamfcpp.zoo import weights_path
 
     path = weights_path(init)
     if not is_alexnet(path):
-        return load(path)
+        return trainable(load(path))
     model = SiamFCpp()
     init_backbone(model, path, seed)
     init_neck_and_head(model, seed)

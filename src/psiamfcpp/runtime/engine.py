@@ -45,7 +45,7 @@ class Engine(Protocol):
         ...
 
     def template(self, crop: Image) -> Any:
-        """Return the correlation kernels of a template crop ``(127, 127, 3)``.
+        """Return what `search` correlates with, from a template crop ``(Z, Z, 3)`` of ``spec.template_size``.
 
         They may be of any type: nobody but this engine reads them.
         """
@@ -60,7 +60,7 @@ class Engine(Protocol):
 
         Returns:
             Scores ``(N, N)``, 0 to 1, and boxes ``(N, N, 4)`` as x0, y0, x1, y1 in pixels of the crop. N is
-            ``score_size(S)`` of `psiamfcpp.spec`, and row by row the cells lie 8 pixels apart.
+            ``spec.arch.score_size(S)``, and row by row the cells lie ``spec.arch.stride`` pixels apart.
         """
         ...
 

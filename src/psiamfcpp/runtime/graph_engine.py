@@ -15,7 +15,7 @@ from psiamfcpp.runtime.graph_file import graph_precision, same_model
 from psiamfcpp.runtime.lanes import Lanes, Search
 from psiamfcpp.spec import ModelSpec
 
-Kernels = tuple[Float32Array, Float32Array]
+Kernels = tuple[Float32Array, ...]
 Template = Callable[[Image], Kernels]
 
 
@@ -60,7 +60,7 @@ class GraphEngine(ABC):
         warm_up(self)
 
     def template(self, crop: Image) -> Kernels:
-        """Return the correlation kernels ``(1, C, 4, 4)`` of a template crop ``(127, 127, 3)``, uint8, BGR."""
+        """Return what `search` needs of a template crop ``(Z, Z, 3)``, uint8, BGR."""
         return self._template(crop)
 
     def search(self, crop: Image, kernels: Kernels) -> tuple[Float32Array, Float32Array]:

@@ -46,7 +46,8 @@ class OnnxEngine(GraphEngine):
     ) -> tuple[list[Search], ModelSpec]:
         # a session may run in many threads at once
         session = _open(path, threads, search_size, device)
-        return [functools.partial(_search, session)] * lanes, _spec(session, path)
+        names = [given.name for given in session.get_inputs()]
+        return [functools.partial(_search, session, names)] * lanes, _spec(session, path)
 
 
 def open_session(
@@ -150,11 +151,13 @@ def _spec(session: onnxruntime.InferenceSession, path: Path) -> ModelSpec:
 
 
 def _template(session: onnxruntime.InferenceSession, crop: Image) -> Kernels:
-    cls, reg = session.run(("cls_kernel", "reg_kernel"), {"crop": crop[None]})
-    return cls, reg
+    return tuple(session.run(None, {"crop": crop[None]}))
 
 
-def _search(session: onnxruntime.InferenceSession, crop: Image, kernels: Kernels) -> tuple[Float32Array, Float32Array]:
-    feed = {"crop": crop[None], "cls_kernel": kernels[0], "reg_kernel": kernels[1]}
+def _search(
+    session: onnxruntime.InferenceSession, names: list[str], crop: Image, kernels: Kernels
+) -> tuple[Float32Array, Float32Array]:
+    # The crop is the first input, and the kernels follow as the template graph gives them.
+    feed = dict(zip(names, (crop[None], *kernels), strict=True))
     scores, boxes = session.run(("scores", "boxes"), feed)
     return scores[0], boxes[0]

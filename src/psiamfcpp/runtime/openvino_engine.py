@@ -32,7 +32,8 @@ class OpenVinoEngine(GraphEngine):
     ) -> tuple[list[Search], ModelSpec]:
         model, spec = _read(path)
         model.reshape({"crop": [1, search_size, search_size, 3]})
-        return [functools.partial(_search, lane) for lane in _compile(path, model, threads, lanes)], spec
+        names = [given.get_any_name() for given in model.inputs]
+        return [functools.partial(_search, lane, names) for lane in _compile(path, model, threads, lanes)], spec
 
 
 @functools.cache
@@ -70,10 +71,11 @@ def _compile(path: Path, model: Any, threads: int, lanes: int) -> list[Any]:
 
 def _template(request: Any, crop: Image) -> Kernels:
     found = request.infer({"crop": crop[None]}, share_inputs=True)
-    return found["cls_kernel"].copy(), found["reg_kernel"].copy()
+    return tuple(kernel.copy() for kernel in found.values())
 
 
-def _search(request: Any, crop: Image, kernels: Kernels) -> tuple[Float32Array, Float32Array]:
-    feed = {"crop": crop[None], "cls_kernel": kernels[0], "reg_kernel": kernels[1]}
+def _search(request: Any, names: list[str], crop: Image, kernels: Kernels) -> tuple[Float32Array, Float32Array]:
+    # The crop is the first input, and the kernels follow as the template graph gives them.
+    feed = dict(zip(names, (crop[None], *kernels), strict=True))
     found = request.infer(feed, share_inputs=True)
     return found["scores"][0], found["boxes"][0]

@@ -12,10 +12,12 @@ from torch.nn.utils.fusion import fuse_conv_bn_eval
 from psiamfcpp.errors import UserError
 from psiamfcpp.geometry import Image
 from psiamfcpp.machine import usable_cores
-from psiamfcpp.models import SiamFCpp, load
-from psiamfcpp.models.network import ConvBlock, Kernels
+from psiamfcpp.models import load
+from psiamfcpp.models.network import ConvBlock, Network
 from psiamfcpp.runtime.device import CPU, Device
 from psiamfcpp.runtime.engine import Float32Array, Images, resized, warm_up
+
+Kernels = tuple[Tensor, ...]
 
 
 class TorchEngine:
@@ -35,7 +37,7 @@ class TorchEngine:
 
     def __init__(
         self,
-        model: str | SiamFCpp,
+        model: str | Network,
         threads: int | None = None,
         search_size: int | None = None,
         device: Device = CPU,
@@ -53,7 +55,7 @@ class TorchEngine:
 
     @torch.inference_mode()
     def template(self, crop: Image) -> Kernels:
-        """Return the correlation kernels ``(1, C, 4, 4)`` of a template crop ``(127, 127, 3)``, uint8, BGR."""
+        """Return what `search` needs of a template crop ``(Z, Z, 3)``, uint8, BGR."""
         with self._autocast():
             return self._model.template(self._as_input(crop))
 
@@ -67,9 +69,9 @@ class TorchEngine:
     @torch.inference_mode()
     def search_many(self, crops: Images, kernels: list[Kernels]) -> tuple[Float32Array, Float32Array]:
         """Return scores ``(B, N, N)`` and boxes ``(B, N, N, 4)`` of crops ``(B, S, S, 3)``, uint8, BGR."""
-        cls, reg = (torch.cat(part) for part in zip(*kernels, strict=True))
+        joined = tuple(torch.cat(part) for part in zip(*kernels, strict=True))
         with self._autocast():
-            scores, boxes = self._model.search(self._moved(torch.from_numpy(crops).permute(0, 3, 1, 2)), (cls, reg))
+            scores, boxes = self._model.search(self._moved(torch.from_numpy(crops).permute(0, 3, 1, 2)), joined)
         return _as_array(scores), _as_array(boxes)
 
     def _autocast(self) -> Any:
@@ -105,7 +107,7 @@ def torch_device(device: Device) -> torch.device:
     return torch.device("cuda", device.index)
 
 
-def in_half(network: SiamFCpp) -> SiamFCpp:
+def in_half(network: Network) -> Network:
     """Return a copy of a network whose convolutions have weights in half precision, for use under autocast.
 
     BatchNorm is folded into them before, in float32: variances of maps of grey levels exceed half precision's range.

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from psiamfcpp.errors import UserError
 from psiamfcpp.models import load
-from psiamfcpp.models.network import Maps, SiamFCpp
+from psiamfcpp.models.network import Maps, SiamFCpp, trainable
 from psiamfcpp.training.batches import Batch
 from psiamfcpp.training.losses import iou
 
@@ -42,7 +42,7 @@ def open_teacher(path_or_name: str, device: torch.device) -> Teacher:
     Raises:
         UserError: no such model.
     """
-    model = load(path_or_name).to(device).requires_grad_(False)
+    model = trainable(load(path_or_name)).to(device).requires_grad_(False)
     model.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
 
     @torch.no_grad()

@@ -195,7 +195,7 @@ def test_only_cells_whose_boxes_lie_in_the_seen_target_are_hidden(scale: float) 
     before = scores.copy()
     around = Target(100, 80, 63.5 / scale, 63.5 / scale)
     # 48 pixels right of the crop's centre lies cell (8, 14); the box reaches 20 pixels of the crop to each side
-    rest = hidden(scores, boxes, around, Target(100 + 48 / scale, 80, 40 / scale, 40 / scale), 303, 127)
+    rest = hidden(scores, boxes, around, Target(100 + 48 / scale, 80, 40 / scale, 40 / scale), scale, 151)
     rows, columns = np.nonzero(rest == 0)
     assert (rows.min(), rows.max(), columns.min(), columns.max()) == (6, 10, 12, 16)
     assert len(rows) == 25

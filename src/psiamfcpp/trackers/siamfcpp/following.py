@@ -14,29 +14,25 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from psiamfcpp.crop import mean_colour, target_crop
-from psiamfcpp.geometry import Box, Image, centre, check_box, check_frame, context_side, from_centre
+from psiamfcpp.geometry import Box, Image, centre, check_box, check_frame, from_centre
+from psiamfcpp.models.arch import opened
 from psiamfcpp.runtime import Engine
-from psiamfcpp.spec import STRIDE, ModelSpec, score_size
-from psiamfcpp.trackers.contract import Track
+from psiamfcpp.spec import Calibration, ModelSpec
+from psiamfcpp.trackers.contract import State, Track
 from psiamfcpp.trackers.siamfcpp.confidence import StateMachine, confidence
 from psiamfcpp.trackers.siamfcpp.contest import Contest
 from psiamfcpp.trackers.siamfcpp.procedure import (
     Estimate,
     FloatMap,
+    Procedure,
     Target,
     contrast,
-    cosine_window,
-    estimate,
     hidden,
-    smooth,
 )
 
 Search = Callable[[Image, Any], tuple[FloatMap, FloatMap]]
 """`Engine.search`"""
 
-# Sides below this are not followed down, unless the target began smaller (the original's lower bound).
-_SMALLEST_SIDE = 10.0
 # Running means over about 10 frames. Just before a target disappears it is partly occluded and its size and speed are
 # underestimated; a mean is not. A lost target keeps its velocity for 30 frames (1 s).
 _MEMORY_RATE, _COAST_FRAMES = 0.1, 30
@@ -65,7 +61,7 @@ class Following:
 
     Args:
         engine: computes the kernels of the template; it is not kept.
-        spec: the model's description; its constants and calibration are used.
+        spec: the model's description; its procedure, constants and calibration are used.
         plain: follow the published procedure, without states and re-detection.
         frame: ``(H, W, 3)`` uint8, BGR.
         box: ``(x, y, w, h)`` of the target, pixels, 0-based.
@@ -78,22 +74,25 @@ class Following:
         check_frame(frame)
         x, y, w, h = check_box(box, frame.shape)
         cx, cy = (float(v) for v in centre((x, y, w, h)))
-        self.first = Track((x, y, w, h), 1.0, "tracking")
-        self._spec, self._plain = spec, plain
-        cells = score_size(spec.search_size, spec.template_size)
-        self._window = cosine_window(cells)
+        self._spec, self._limits = spec, spec.calibration or Calibration()
+        self._plain = plain or spec.calibration is None
+        self._plain_state: State | None = "tracking" if spec.calibration else None
+        self._procedure: Procedure = opened(spec.arch.procedure)
+        self.first = Track((x, y, w, h), 1.0, self._plain_state)
+        cells = spec.arch.score_size(spec.search_size, spec.template_size)
+        self._window = self._procedure.window(cells)
         # Half the width of the region in which targets can be found, in pixels of the search crop.
-        self._reach = cells * STRIDE / 2
+        self._reach = cells * spec.arch.stride / 2
         self._buffer = np.empty((spec.search_size, spec.search_size, 3), np.uint8)
         self._target = self._seen = Target(cx, cy, w, h)
-        self._smallest = min(_SMALLEST_SIDE, w, h)
-        self._fill = mean_colour(frame)
-        self._states = StateMachine(spec.calibration)
+        self._smallest = min(self._procedure.smallest, w, h)
+        self._fill = self._procedure.fill(frame)
+        self._states = StateMachine(self._limits)
         self._velocity = (0.0, 0.0)
         self._unseen_for = self._lost_for = 0
         self._contest: Contest | None = None
         size = spec.template_size
-        self._kernels = engine.template(target_crop(frame, (cx, cy, w, h), size, size, self._fill))
+        self._kernels = engine.template(self._procedure.crop(frame, self._target, size, size, self._fill, None))
 
     def aim(self, frame: Image, out: Image | None = None) -> Look:
         """Return what to search in the next frame; the state stays as it is.
@@ -116,15 +115,13 @@ class Following:
     def look_at(self, frame: Image, around: Target, out: Image | None = None) -> Look:
         """Return the search region about a given place; the state stays as it is."""
         spec = self._spec
-        place = (around.cx, around.cy, around.w, around.h)
         buffer = self._buffer if out is None else out
-        region = target_crop(frame, place, spec.search_size, spec.template_size, self._fill, buffer)
+        region = self._procedure.crop(frame, around, spec.search_size, spec.template_size, self._fill, buffer)
         return Look(around, region, self._kernels)
 
     def read(self, around: Target, scores: FloatMap, boxes: FloatMap) -> tuple[Estimate, float]:
         """Return the estimate of a searched region and its contrast (see `procedure.contrast`)."""
-        spec = self._spec
-        found = estimate(scores, boxes, around, spec.search_size, spec.template_size, spec.constants, self._window)
+        found = self._procedure.estimate(scores, boxes, around, self._spec, self._window)
         return found, contrast(scores, boxes, found.cell)
 
     def conclude(self, frame: Image, look: Look, scores: FloatMap, boxes: FloatMap, search: Search) -> Track:
@@ -142,10 +139,9 @@ class Following:
             return Track(self._box(), 0.0, self._states.step(0.0))
         found, apart = self.read(look.around, scores, boxes)
         if self._plain:
-            rate = self._spec.constants.test_lr * found.penalty * found.score
-            self._target = self._moved(self._target, found, rate, frame)
-            return Track(self._box(), found.score, "tracking")
-        value = confidence(found.score, apart, self._spec.calibration)
+            self._target = self._moved(self._target, found, self._rate(found), frame)
+            return Track(self._box(), found.score, self._plain_state)
+        value = confidence(found.score, apart, self._limits)
         return self._judge(frame, look.around, found, value, search)
 
     def _judge(self, frame: Image, around: Target, found: Estimate, value: float, search: Search) -> Track:
@@ -158,8 +154,7 @@ class Following:
             last_seen = self._gone_on(self._seen, frame)
             if self._unseen_for >= _UNSEEN and not _lies_in(found.target, last_seen):
                 self._contest = Contest(last_seen, self._velocity)
-            rate = self._spec.constants.test_lr * found.penalty * found.score
-            self._target = self._moved(around, found, rate, frame)
+            self._target = self._moved(around, found, self._rate(found), frame)
             self._see()
             value = self._contested(frame, found.score, value, search)
             return Track(self._box(), value, state)
@@ -168,7 +163,7 @@ class Following:
         self._lost_for = self._lost_for + 1 if state == "lost" else 0
         if state == "lost":
             self._contest = None
-        if state == "unsure" and value < self._spec.calibration.lost_below and not expected:
+        if state == "unsure" and value < self._limits.lost_below and not expected:
             self._target = gone_on
         elif around == guess:
             self._target = self._moved(guess, found, 0.0, frame)
@@ -186,13 +181,14 @@ class Following:
         Returns:
             The confidence in what is followed from now on.
         """
-        contest, limits, spec = self._contest, self._spec.calibration, self._spec
+        contest, limits, spec = self._contest, self._limits, self._spec
         if contest is None:
             return value
         around = contest.place
         look = self.look_at(frame, around)
         scores, boxes = search(look.region, look.kernels)
-        scores = hidden(scores, boxes, around, self._target, spec.search_size, spec.template_size)
+        scale, middle = self._procedure.zoom(around, spec), self._procedure.middle(spec.search_size)
+        scores = hidden(scores, boxes, around, self._target, scale, middle)
         found, apart = self.read(around, scores, boxes)
         rival = confidence(found.score, apart, limits)
         won = contest.judge(found.target, rival >= limits.regain_above, found.score - score)
@@ -209,7 +205,7 @@ class Following:
             return self._target
         t = dataclasses.replace(self._seen, w=self._seen.w * _LOST_REACH, h=self._seen.h * _LOST_REACH)
         column, row = spiral(self._lost_for // 2 + 1)
-        step = self._reach * context_side(t.w, t.h) / self._spec.template_size
+        step = self._reach / self._procedure.zoom(t, self._spec)
         height, width = frame_shape[:2]
         cx, cy = t.cx + column * step, t.cy + row * step
         if not (0 <= cx < width and 0 <= cy < height):
@@ -218,7 +214,10 @@ class Following:
         return Target(cx, cy, t.w, t.h)
 
     def _moved(self, around: Target, found: Estimate, rate: float, frame: Image) -> Target:
-        return smooth(around, found, rate, frame.shape, self._smallest)
+        return self._procedure.move(around, found, rate, frame.shape, self._smallest)
+
+    def _rate(self, found: Estimate) -> float:
+        return self._procedure.rate(found, self._spec.constants)
 
     def _see(self) -> None:
         """Note where the target was seen, and how fast it moves."""

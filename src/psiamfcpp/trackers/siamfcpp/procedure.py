@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from psiamfcpp.geometry import context_side
-from psiamfcpp.spec import TrackingConstants
+from psiamfcpp.crop import Colour, mean_colour, target_crop
+from psiamfcpp.geometry import Image, context_side
+from psiamfcpp.spec import ModelSpec, TrackingConstants
 
 FloatMap = NDArray[np.floating]
 
@@ -36,6 +38,30 @@ class Estimate:
     """the chosen cell's factor for its change of size and shape, 0..1"""
     cell: tuple[int, int]
     """row and column of the chosen cell"""
+
+
+@dataclass(frozen=True)
+class Procedure:
+    """What the published procedures of trackers differ in; `psiamfcpp.models.arch.Architecture.procedure` names it."""
+
+    fill: Callable[[Image], Colour]
+    """colour (BGR) of what lies outside the frame, from the first frame"""
+    crop: Callable[[Image, Target, int, int, Colour, Image | None], Image]
+    """frame, target, side of the crop, side of the template crop, fill, buffer: the crop, as `target_crop` gives it"""
+    zoom: Callable[[Target, ModelSpec], float]
+    """pixels of the crops for a pixel of the frame"""
+    middle: Callable[[int], float]
+    """pixel of a crop of a side at which the target's centre is, in x and in y"""
+    window: Callable[[int], FloatMap]
+    """the window ``(N, N)``"""
+    estimate: Callable[[FloatMap, FloatMap, Target, ModelSpec, FloatMap], Estimate]
+    """scores, boxes, target that the crop was centred on and scaled by, description, window: the chosen cell"""
+    rate: Callable[[Estimate, TrackingConstants], float]
+    """share of the way to the found size"""
+    move: Callable[[Target, Estimate, float, tuple[int, ...], float], Target]
+    """target so far, estimate, rate, shape of the frame, lower bound of the sides: the new target"""
+    smallest: float
+    """pixels; sides below are not followed down, unless the target began smaller"""
 
 
 def cosine_window(cells: int) -> FloatMap:
@@ -106,9 +132,7 @@ def smooth(previous: Target, found: Estimate, rate: float, frame_shape: tuple[in
     )
 
 
-def hidden(
-    scores: FloatMap, boxes: FloatMap, around: Target, seen: Target, search_size: int, template_size: int
-) -> FloatMap:
+def hidden(scores: FloatMap, boxes: FloatMap, around: Target, seen: Target, scale: float, middle: float) -> FloatMap:
     """The scores ``(N, N)`` with 0 in every cell whose box has its centre in another box: what else is there?
 
     Args:
@@ -116,11 +140,9 @@ def hidden(
         boxes: ``(N, N, 4)`` as x0, y0, x1, y1 in pixels of the crop.
         around: the target that the crop was centred on and scaled by.
         seen: the box to leave out, in the frame.
-        search_size: side of the crop in pixels.
-        template_size: side of the template in pixels.
+        scale: pixels of the crop for a pixel of the frame.
+        middle: pixel of the crop, in x and in y, that shows the centre of ``around``.
     """
-    scale = template_size / context_side(around.w, around.h)
-    middle = search_size // 2
     cx, cy = _centres(boxes)
     dx = cx - middle - (seen.cx - around.cx) * scale
     dy = cy - middle - (seen.cy - around.cy) * scale
@@ -149,3 +171,29 @@ def _centres(boxes: FloatMap) -> tuple[FloatMap, FloatMap]:
 
 def _change(ratio: FloatMap) -> FloatMap:
     return np.maximum(ratio, 1 / ratio)
+
+
+def _crop(frame: Image, target: Target, size: int, template_size: int, fill: Colour, out: Image | None) -> Image:
+    return target_crop(frame, (target.cx, target.cy, target.w, target.h), size, template_size, fill, out)
+
+
+def _zoom(target: Target, spec: ModelSpec) -> float:
+    return spec.template_size / context_side(target.w, target.h)
+
+
+def _estimate(scores: FloatMap, boxes: FloatMap, previous: Target, spec: ModelSpec, window: FloatMap) -> Estimate:
+    return estimate(scores, boxes, previous, spec.search_size, spec.template_size, spec.constants, window)
+
+
+PROCEDURE = Procedure(
+    fill=mean_colour,
+    crop=_crop,
+    zoom=_zoom,
+    middle=lambda size: size // 2,
+    window=cosine_window,
+    estimate=_estimate,
+    rate=lambda found, constants: constants.test_lr * found.penalty * found.score,
+    move=smooth,
+    # The original's lower bound.
+    smallest=10.0,
+)
