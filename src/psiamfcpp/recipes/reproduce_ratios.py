@@ -35,7 +35,8 @@ def run_ratios(
         UserError: a file cannot be read, or the folder holds networks of another setup.
     """
     from psiamfcpp.recipes.rank import rank
-    from psiamfcpp.recipes.sensitivity import SHORT, Setup, measure_all
+    from psiamfcpp.recipes.sensitivity import Setup, measure_all
+    from psiamfcpp.training.options import SHORT
 
     if ranks is None:
         ranks = folder.parent / "ranks.json"
