@@ -141,8 +141,8 @@ def test_a_stream_that_stops_is_said(
     page = visit(address)
     page.wait_for_selector(LIVE)
     stream.silent = True
-    page.wait_for_selector("#banner:visible")
-    assert "stream has stopped" in page.inner_text("#banner")
+    # a busy machine may make the stream stop by itself, and go on before one looks
+    page.wait_for_selector("#banner:visible:has-text('stream has stopped')")
     stream.silent = False
     page.wait_for_selector("#banner", state="hidden")
 
