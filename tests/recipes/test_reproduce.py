@@ -145,6 +145,23 @@ def test_result_files_will_do_without_frames(benchmarks: Path, tmp_path: Path) -
     assert "BMX3: its frames are not at hand." in done.files[0].read_text()
 
 
+def test_of_two_trackers_of_one_name_ours_stands(benchmarks: Path, blob_engine: Any, tmp_path: Path) -> None:
+    for tracker in ("P-SiamFC++", "HiFT"):
+        write_boxes(tmp_path / "theirs" / "uavdt" / tracker, "S0304", np.array(PATH) + 100)
+    done = reproduce(benchmarks, tmp_path / "out", results=[tmp_path / "theirs"], wanted=(2,))
+    assert line(done.tables[2], "P-SiamFC++")[3] == "100.0"
+    assert float(line(done.tables[2], "HiFT")[3]) < 50
+
+
+def test_results_that_cannot_be_scored_are_named_before_anything_is_run(
+    benchmarks: Path, blob_engine: Any, tmp_path: Path
+) -> None:
+    write_boxes(tmp_path / "theirs" / "uavdt" / "HiFT", "S0304", PATH[:3])
+    with pytest.raises(UserError, match=r"HiFT/S0304\.txt have 3 rows, but 5 are needed"):
+        reproduce(benchmarks, tmp_path / "out", results=[tmp_path / "theirs"], wanted=(2,))
+    assert not (tmp_path / "out").exists()
+
+
 def test_a_deep_tracker_that_cannot_be_opened_is_named_and_left_out(
     benchmarks: Path, blob_engine: Any, tmp_path: Path
 ) -> None:

@@ -15,7 +15,7 @@ from psiamfcpp.evaluation.running import is_done, run
 from psiamfcpp.recipes.find import Found, find_benchmark
 from psiamfcpp.recipes.reproduce_ratios import ratios_left, read_ratios, run_ratios
 from psiamfcpp.recipes.reproduce_time import seconds_per_frame
-from psiamfcpp.report.compare import compare, title
+from psiamfcpp.report.compare import Comparison, compare, title
 from psiamfcpp.report.layout import Cell, Row, Table
 from psiamfcpp.report.published import averaged, published
 from psiamfcpp.report.reproduction import BASELINE, ON_GPU, PRUNED, Reproduction, paper_name, tables
@@ -122,8 +122,10 @@ def reproduce(
         return Reproduced(found, planned, problems)
     if output is None and (planned or with_ratios):
         raise UserError("frames are there and runs are to be done: give -o DIR for results and page, or --dry-run")
+    # What is wrong with them must be said before hours of runs.
+    theirs = _score(found, results)
     if output:
-        # Their absence must be said before hours of runs.
+        # So must be the absence of these.
         import jinja2  # noqa: F401
         import matplotlib  # noqa: F401
     for part in work:
@@ -132,7 +134,9 @@ def reproduce(
     if output and found["dtb70"] and with_ratios:
         place = Path(found["dtb70"].root)
         run_ratios(MODELS[BASELINE], place, output / "table4", ranks, data, finetune_steps, jobs, watch)
-    ours = _collect(found, [*([own] if own and own.is_dir() else []), *results], output, watch)
+    comparisons = _merged(_score(found, [own] if own and own.is_dir() else []), theirs)
+    cells, budget = read_ratios(output / "table4") if output else ([], 0)
+    ours = Reproduction(comparisons, _parameters(), cells, budget)
     made = tables(ours, chosen)
     files: list[Path] = []
     if output:
@@ -269,16 +273,30 @@ def _plan_ratios(
     return [Planned("dtb70", f"{left} networks of Table 4", left * len(sequences), frames, rate and rate * frames)]
 
 
-def _collect(found: dict[str, Found | None], folders: list[Path], output: Path | None, watch: Watch) -> Reproduction:
-    """Score what there is, with the rest of what the tables need."""
-    comparisons = []
+def _score(found: dict[str, Found | None], folders: Sequence[Path]) -> dict[str, Comparison]:
+    """Score the results in folders, by benchmark; benchmarks of which there are none are absent."""
+    scored = {}
     for name, place in found.items():
         if place is not None and place.sequences and folders:
-            comparison, _ = compare(name, Path(place.root), folders, allow_missing=True)
+            comparison, _ = compare(name, Path(place.root), list(folders), allow_missing=True)
             if comparison is not None:
-                comparisons.append(comparison)
-    cells, budget = read_ratios(output / "table4") if output else ([], 0)
-    return Reproduction(comparisons, _parameters(), cells, budget)
+                scored[name] = comparison
+    return scored
+
+
+def _merged(ours: dict[str, Comparison], theirs: dict[str, Comparison]) -> list[Comparison]:
+    """Return both side by side, by benchmark; of two trackers of one name ours stands."""
+    merged = []
+    for name in averaged():
+        first, second = ours.get(name), theirs.get(name)
+        if first is not None and second is not None:
+            known = {entry.tracker for entry in first.measured}
+            others = [entry for entry in second.measured if entry.tracker not in known]
+            first = dataclasses.replace(first, measured=[*first.measured, *others])
+        either = first or second
+        if either is not None:
+            merged.append(either)
+    return merged
 
 
 def _parameters() -> dict[str, int]:

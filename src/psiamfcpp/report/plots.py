@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-# Ten colours that people with a weakness for colours can tell apart as well as ten can be; then again, dashed.
+# Ten colours that remain distinct with a colour vision deficiency as well as ten can; then again, dashed.
 COLOURS = (
     "#d62728", "#1f5fbf", "#2a9d3f", "#e69f00", "#8e44ad", "#0097a7", "#8c564b", "#e377c2", "#707070", "#a8a800",
 )  # fmt: skip
@@ -27,7 +27,7 @@ Styles = dict[str, tuple[str, str]]
 """colour and line style by tracker"""
 _DASHES = ("-", "--", ":", "-.")
 _REAL_TIME = 30
-# More lines than these cannot be told apart.
+# More lines than these cannot be distinguished.
 _RADAR, _LINES = 8, 5
 _FPS_TICKS = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000)
 _NAME_SIZE = 8
@@ -48,7 +48,7 @@ _STYLE: Any = {
 
 
 def colours(comparisons: list[Comparison]) -> Styles:
-    """A colour and a line style a tracker, the same in every picture of a report; the best come first."""
+    """Return a colour and a line style per tracker, the same in every plot of a report; the best come first."""
     ranks: dict[str, list[float]] = {}
     for comparison in comparisons:
         for entry in comparison.measured:
@@ -65,7 +65,7 @@ def curves(
     convention: Convention,
     styles: Styles,
 ) -> Figure:
-    """Curves of all trackers on one benchmark, ranked by the figure in brackets.
+    """Return the curves of all trackers on one benchmark, ranked by the figure in brackets.
 
     That is precision at 20 pixels or the area under the success curve, as in the paper's Fig. 2.
     """
@@ -89,7 +89,7 @@ def curves(
 
 
 def speed(comparison: Comparison, convention: Convention, styles: Styles) -> Figure | None:
-    """Precision against frames a second on a CPU; None where no tracker's speed is known."""
+    """Return precision against frames per second on a CPU; None where no tracker's speed is known."""
     rows = [row for row in comparison.published if row.convention in (convention, None)]
     points = [_measured_point(entry, convention) for entry in comparison.measured if entry.speed]
     return _scatter(comparison.title, points, rows, styles)
@@ -98,7 +98,7 @@ def speed(comparison: Comparison, convention: Convention, styles: Styles) -> Fig
 def average_speed(
     comparisons: list[Comparison], rows: list[Published], convention: Convention, styles: Styles
 ) -> Figure | None:
-    """The same over the paper's four benchmarks: its own figures, and ours where all four were run."""
+    """Return the same over the paper's four benchmarks: its own figures, and ours where all four were run."""
     points = []
     if {c.dataset for c in comparisons} >= set(averaged()):
         four = [c for c in comparisons if c.dataset in averaged()]
