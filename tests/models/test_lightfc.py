@@ -108,6 +108,7 @@ def assert_equal_outputs(network: LightFC, template: Path, track: Path) -> None:
         np.testing.assert_allclose(ours.numpy(), theirs, rtol=0, atol=1e-4)
 
 
+@pytest.mark.slow
 def test_graphs_are_read_by_their_structure(
     deployed: tuple[Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -120,12 +121,14 @@ def test_graphs_are_read_by_their_structure(
     assert_equal_outputs(found, *deployed)
 
 
+@pytest.mark.slow
 def test_weights_that_were_read_are_the_networks(network: LightFC, deployed: tuple[Path, Path]) -> None:
     found = import_lightfc(*deployed)
     for name, value in network.state_dict().items():
         torch.testing.assert_close(found.state_dict()[name], value, rtol=1e-5, atol=1e-6, msg=name)
 
 
+@pytest.mark.slow
 def test_the_deployed_graphs_give_their_outputs(shared_data: Path) -> None:
     files = tuple(shared_data.parent / "weights" / "peers" / f"lightfc_{name}.onnx" for name in ("template", "track"))
     if not all(path.is_file() for path in files):
