@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from psiamfcpp.errors import UserError
-from psiamfcpp.files import whole, write_whole
+from psiamfcpp.files import check_outputs, whole, write_whole
 
 OLD = "old content\n"
 
@@ -115,3 +115,21 @@ def test_the_mode_follows_the_umask_whatever_the_writer_does(tmp_path: Path, uma
     finally:
         os.umask(before)
     assert stat.S_IMODE((tmp_path / "file.txt").stat().st_mode) == mode
+
+
+def test_an_output_that_is_an_input_is_refused_whatever_its_name(tmp_path: Path) -> None:
+    source, link, other = tmp_path / "a.mp4", tmp_path / "link.mp4", tmp_path / "other.mp4"
+    source.write_bytes(b"a")
+    other.write_bytes(b"b")
+    link.symlink_to(source)
+    for output in (source, link, tmp_path / "x" / ".." / "a.mp4"):
+        (tmp_path / "x").mkdir(exist_ok=True)
+        for given in (source, link, tmp_path, str(tmp_path / "a*.mp4")):
+            with pytest.raises(UserError, match=r"output .* is the input .*: choose another name"):
+                check_outputs([output], [None, "rtsp://camera", given])
+    check_outputs([other, None, tmp_path / "new.mp4"], [source, "siamfcpp-alexnet"])
+
+
+def test_two_outputs_of_one_name_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(UserError, match="is named twice"):
+        check_outputs([tmp_path / "a.txt", tmp_path / "a.txt"], [])

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import contextlib
+import glob
 import os
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 from psiamfcpp.errors import UserError
@@ -55,6 +56,39 @@ def write_whole(path: Path, content: str | bytes | memoryview) -> None:
     """
     with whole(path) as temporary:
         temporary.write_bytes(content.encode() if isinstance(content, str) else content)
+
+
+def check_outputs(outputs: Iterable[Path | None], inputs: Iterable[str | Path | None]) -> None:
+    """Refuse outputs that would overwrite an input or each other, links included; None and missing files are fine.
+
+    Args:
+        outputs: files to be written.
+        inputs: files, or folders and globs of files; anything that names no file is passed over.
+
+    Raises:
+        UserError: names the output and what it would overwrite.
+    """
+    read = {same: name for name in inputs if name is not None for same in _identities(name)}
+    written: dict[object, Path] = {}
+    for path in (path for path in outputs if path is not None):
+        for same in _identities(path) or {path.absolute()}:
+            if same in read:
+                raise UserError(f"output {path} is the input {read[same]}: choose another name")
+            if same in written:
+                raise UserError(f"output {path} is named twice: choose another name for one of them")
+            written[same] = path
+
+
+def _identities(name: str | Path) -> set[object]:
+    """The files that a name stands for, as device and inode: equal for links to one file."""
+    found: set[object] = set()
+    with contextlib.suppress(OSError, ValueError):
+        path = Path(name)
+        inside = path.iterdir() if path.is_dir() else glob.iglob(str(name))  # noqa: PTH207 - may be absolute
+        for each in [path] if path.is_file() else inside:
+            facts = os.stat(each)  # noqa: PTH116 - a path or its name
+            found.add((facts.st_dev, facts.st_ino))
+    return found
 
 
 @contextlib.contextmanager

@@ -315,3 +315,10 @@ def test_one_wrong_box_among_several_is_refused_before_anything_is_written(
 
 def test_without_a_box_it_is_asked_for(run: Run, blob_engine: Any, clip: Path) -> None:
     assert "--box is missing: give x,y,w,h" in run("track", clip).refused()
+
+
+@pytest.mark.parametrize("option", ["--output", "--boxes"])
+def test_no_output_replaces_the_source(run: Run, clip: Path, option: str) -> None:
+    before = clip.read_bytes()
+    assert "is the input" in run("track", clip, "--box", BOX, option, clip).refused()
+    assert clip.read_bytes() == before

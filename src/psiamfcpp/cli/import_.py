@@ -8,6 +8,7 @@ import tyro
 
 from psiamfcpp.cli.arguments import Output
 from psiamfcpp.errors import UserError
+from psiamfcpp.files import check_outputs
 
 
 def import_(checkpoint: tyro.conf.Positional[tuple[Path, ...]], output: Output) -> None:
@@ -17,6 +18,7 @@ def import_(checkpoint: tyro.conf.Positional[tuple[Path, ...]], output: Output) 
         checkpoint: the official .pkl or .pth file, or LightFC's graphs of the template and of the search crop, .onnx.
         output: checkpoint to write, .safetensors.
     """
+    check_outputs([output], checkpoint)
     from psiamfcpp.models import save
     from psiamfcpp.models.cost import count_parameters
     from psiamfcpp.models.network import Network

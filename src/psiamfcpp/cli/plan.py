@@ -10,6 +10,7 @@ import tyro
 from psiamfcpp.cli.arguments import HeldOut, Json
 from psiamfcpp.cli.output import print_json, watching
 from psiamfcpp.errors import UserError
+from psiamfcpp.files import check_outputs
 
 
 def plan(
@@ -58,6 +59,7 @@ def plan(
     from psiamfcpp.recipes import plan as recipe
     from psiamfcpp.recipes.scoring import score_model
 
+    check_outputs([output], [source, ranks])
     if not source.endswith(".json"):
         table = score_model(source, criterion, ranks=ranks, data=data, held_out_every=held_out_every)
     elif criterion != "rank" or ranks or data:

@@ -10,7 +10,8 @@ import tyro
 
 from psiamfcpp.cli.output import notes, parse_box, print_json, progress
 from psiamfcpp.errors import UserError
-from psiamfcpp.recipes.follow import follow_to_files
+from psiamfcpp.files import check_outputs
+from psiamfcpp.recipes.follow import boxes_paths, follow_to_files
 from psiamfcpp.trackers import STATES, State, TargetPool, Track, TrackerOptions
 from psiamfcpp.video.source import open_source
 from psiamfcpp.zoo import DEFAULT_MODEL
@@ -41,6 +42,8 @@ def track(
     if not box:
         raise UserError("--box is missing: give x,y,w,h of the target on the first frame, in pixels")
     starts = [parse_box(text) for text in box]
+    box_files = [] if boxes is None else boxes_paths(boxes, len(starts))
+    check_outputs([output, *box_files], [source, model, tracker])
     with contextlib.ExitStack() as files:
         video = files.enter_context(open_source(source, on_event=notes.print))
         bar = files.enter_context(progress())

@@ -11,6 +11,7 @@ import torch
 from psiamfcpp import datasets
 from psiamfcpp.datasets.split import split
 from psiamfcpp.errors import UserError
+from psiamfcpp.files import check_outputs
 from psiamfcpp.models import Network, load, save
 from psiamfcpp.recipes.calibration import Rates, cross_rates, fit, gather
 from psiamfcpp.spec import Calibration, TrackingConstants
@@ -55,6 +56,7 @@ def calibrate(
     Raises:
         UserError: fewer than two clips, a model that finds nothing, or a file that cannot be read or written.
     """
+    check_outputs([output], [model])
     clips = split(datasets.read("folder", data), held_out_every)[1]
     if len(clips) < 2:
         raise UserError(f"{data} holds {len(clips)} clips held out by {held_out_every}: at least two are needed")

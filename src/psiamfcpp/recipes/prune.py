@@ -10,6 +10,7 @@ from typing import Any
 
 from psiamfcpp.datasets.choice import DataChoice
 from psiamfcpp.errors import UserError
+from psiamfcpp.files import check_outputs
 from psiamfcpp.models import Network, load, save
 from psiamfcpp.models.cost import facts
 from psiamfcpp.pruning.models import groups_of, prune_model
@@ -64,6 +65,7 @@ def prune(
     Raises:
         UserError: a file cannot be read or written, the plan is for another model, or the data hold nothing to draw.
     """
+    check_outputs([output], [model, plan if isinstance(plan, Path) else None])
     if images < 1:
         raise UserError(f"images is {images}: it must be at least 1")
     if output and not output.parent.is_dir():

@@ -9,9 +9,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from psiamfcpp.datasets.choice import DataChoice
+from psiamfcpp.files import check_outputs
 from psiamfcpp.training.options import RunOptions, TrainOptions
 from psiamfcpp.version import __version__
 from psiamfcpp.watch import QUIET, Watch
+from psiamfcpp.zoo import weights_path
 
 if TYPE_CHECKING:
     from psiamfcpp.models import SiamFCpp
@@ -53,6 +55,7 @@ def train(
     from psiamfcpp.training.loop import LOG_FILE, MODEL_FILE
     from psiamfcpp.training.loop import train as run_training
 
+    check_outputs([output / MODEL_FILE], [weights_path(init)])
     training, held_out = data.training, data.held_out
     torch.manual_seed(options.seed)
     model = _start(init, options.seed)
@@ -79,7 +82,6 @@ def _start(init: Path, seed: int) -> SiamFCpp:
     from psiamfcpp.models.alexnet import init_backbone, is_alexnet
     from psiamfcpp.models.initial import init_neck_and_head
     from psiamfcpp.models.network import trainable
-    from psiamfcpp.zoo import weights_path
 
     path = weights_path(init)
     if not is_alexnet(path):

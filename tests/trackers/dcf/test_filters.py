@@ -215,7 +215,7 @@ def test_the_identity_names_filter_and_constants(name):
     identity = open_dcf(name).identity
     assert (identity["kind"], identity["name"]) == ("dcf", name)
     assert len(identity["constants"]) > 3
-    assert open_dcf(name).name == name
+    assert open_dcf(name).name == f"dcf-{name}"
 
 
 def test_an_unknown_filter_is_refused():
