@@ -36,8 +36,7 @@ def demo(
         output: video to write.
         model: name of a shipped model, or a model file.
         frames: length of the clip.
-        seed: of land, traffic and camera. Of the seeds 0 to 4 the default model follows only that of 4 to the end;
-            in the others the target is lost at or after the occlusion.
+        seed: seed of land, traffic and camera.
         tracker: any other tracker instead, as opencv:mil or dcf:kcf.
         options: how the model runs.
     """
