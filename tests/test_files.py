@@ -133,3 +133,11 @@ def test_an_output_that_is_an_input_is_refused_whatever_its_name(tmp_path: Path)
 def test_two_outputs_of_one_name_are_refused(tmp_path: Path) -> None:
     with pytest.raises(UserError, match="is named twice"):
         check_outputs([tmp_path / "a.txt", tmp_path / "a.txt"], [])
+
+
+def test_a_broken_link_hides_no_other_file_of_a_folder(tmp_path: Path) -> None:
+    (tmp_path / "0.jpg").symlink_to(tmp_path / "nowhere.jpg")
+    (tmp_path / "1.jpg").write_bytes(b"image")
+    with pytest.raises(UserError, match="is the input"):
+        check_outputs([tmp_path / "1.jpg"], [tmp_path])
+    check_outputs([tmp_path / "2.jpg"], ["\0", "x" * 5000])

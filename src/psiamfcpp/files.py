@@ -81,12 +81,19 @@ def check_outputs(outputs: Iterable[Path | None], inputs: Iterable[str | Path | 
 
 def _identities(name: str | Path) -> set[object]:
     """The files that a name stands for, as device and inode: equal for links to one file."""
-    found: set[object] = set()
+    names: list[str] = []
+    # what the system cannot look up, as a name with a zero byte or one of 500 characters, is no file
     with contextlib.suppress(OSError, ValueError):
         path = Path(name)
-        inside = path.iterdir() if path.is_dir() else glob.iglob(str(name))  # noqa: PTH207 - may be absolute
-        for each in [path] if path.is_file() else inside:
-            facts = os.stat(each)  # noqa: PTH116 - a path or its name
+        if path.is_dir():
+            names = [str(each) for each in path.iterdir()]
+        else:
+            names = [str(name)] if path.is_file() else glob.glob(str(name))  # noqa: PTH207 - may be absolute
+    found: set[object] = set()
+    for each in names:
+        # one broken link must not hide the files after it
+        with contextlib.suppress(OSError):
+            facts = Path(each).stat()
             found.add((facts.st_dev, facts.st_ino))
     return found
 

@@ -34,6 +34,7 @@ from psiamfcpp.trackers.identity import checksum
 from psiamfcpp.trackers.siamfcpp.options import TrackerOptions
 from psiamfcpp.trackers.siamfcpp.tracker import Tracker as OurTracker
 from psiamfcpp.trackers.siamfcpp.tracker import model_identity
+from psiamfcpp.trackers.trax.client import trax_name
 from psiamfcpp.zoo import model_files
 
 
@@ -87,12 +88,13 @@ class TrackerChoice:
         """What tables and folders of results call it."""
         if self.label or self.alias:
             return self.label or self.alias
-        path = Path(self.entry)
-        named = {
-            _MODEL: path.stem if path.is_file() else path.name,
-            "module": self.entry.rpartition(":")[2],
-            "trax": f"trax-{_program(self.entry)}",
-        }.get(self.kind, f"{self.kind}-{self.entry}")
+        if self.kind == _MODEL:
+            path = Path(self.entry)
+            named = path.stem if path.is_file() else path.name
+        elif self.kind == "module":
+            named = self.entry.rpartition(":")[2]
+        else:
+            named = f"{self.kind}-{trax_name(self.entry) if self.kind == 'trax' else self.entry}"
         shown = [f",{key}={value}" for key, value in self.given if key not in _UNSEEN and not Path(value).exists()]
         return named + "".join(shown).replace(":", "-").replace("/", "-")
 
@@ -166,12 +168,6 @@ def choose(text: str, options: TrackerOptions = _DEFAULT) -> TrackerChoice:
     if kind not in KINDS:
         kind, name = "module", head
     return TrackerChoice(kind, name, _whole_paths(given), options, folder=str(Path.cwd()))
-
-
-def _program(command: str) -> str:
-    """Return what a worker's results are called: the stem of the last word that names a file, or of the first."""
-    words = command.split()
-    return Path(next((word for word in reversed(words) if Path(word).is_file()), (words or [""])[0])).stem
 
 
 def _model(name: str, given: Mapping[str, str], options: TrackerOptions) -> TrackerChoice:

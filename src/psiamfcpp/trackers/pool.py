@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from psiamfcpp.geometry import Image, check_frame
+from psiamfcpp.runtime import Engine
 from psiamfcpp.trackers.contract import Track
 from psiamfcpp.trackers.contract import Tracker as AnyTracker
 from psiamfcpp.trackers.opening import TrackerChoice, choose
@@ -37,7 +38,7 @@ class TargetPool:
     def __init__(
         self,
         tracker: str = DEFAULT_MODEL,
-        engine: Any = None,
+        engine: str | Engine | None = None,
         *,
         options: TrackerOptions = TrackerOptions(),  # noqa: B008 - frozen
         **changes: Any,
@@ -157,7 +158,9 @@ class _OneEach:
             self._spare.close()
 
 
-def _group(tracker: str, engine: Any, options: TrackerOptions, changes: dict[str, Any]) -> _OneEngine | _OneEach:
+def _group(
+    tracker: str, engine: str | Engine | None, options: TrackerOptions, changes: dict[str, Any]
+) -> _OneEngine | _OneEach:
     if engine is not None and not isinstance(engine, str):
         return _OneEngine(Tracker(tracker, engine, options=options, **changes))
     choice = choose(tracker, dataclasses.replace(options, engine=engine or options.engine, **changes))
