@@ -10,6 +10,7 @@ from psiamfcpp.cli.arguments import Json
 from psiamfcpp.cli.output import print_json, watching
 from psiamfcpp.cli.score import print_measured
 from psiamfcpp.evaluation.measured import CONVENTIONS
+from psiamfcpp.recipes.evaluate import evaluate as run_benchmark
 from psiamfcpp.recipes.evaluate import evaluate_several
 from psiamfcpp.trackers import TrackerOptions
 from psiamfcpp.zoo import DEFAULT_MODEL
@@ -44,7 +45,13 @@ def evaluate(
         options: how our models run.
     """
     with watching() as watch:
-        done = evaluate_several(root, dataset, tracker, results, jobs, cluster, allow_missing, options, name, watch)
+        done = evaluate_several(
+            root,
+            dataset,
+            lambda place, benchmark: run_benchmark(
+                place, benchmark, tracker, results, jobs, cluster, allow_missing, options, name, watch
+            ),
+        )
     if json:
         every = [entry for measured in done.values() for entry in measured]
         print_json({"results": [entry.row(kind) for entry in every for kind in CONVENTIONS]})

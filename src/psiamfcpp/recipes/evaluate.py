@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from psiamfcpp.datasets import BENCHMARKS, BenchmarkName
@@ -71,40 +71,23 @@ def evaluate(
 
 
 def evaluate_several(
-    root: Path,
-    datasets: Sequence[BenchmarkName],
-    trackers: Sequence[str] = (DEFAULT_MODEL,),
-    results: Path | None = None,
-    jobs: int = 1,
-    cluster: str | None = None,
-    allow_missing: bool = False,
-    options: TrackerOptions = _DEFAULT,
-    names: Sequence[str] = (),
-    watch: Watch = QUIET,
+    root: Path, datasets: Sequence[BenchmarkName], evaluate_one: Callable[[Path, BenchmarkName], list[Measured]]
 ) -> dict[BenchmarkName, list[Measured]]:
-    """Run trackers over several benchmarks, one after the other; arguments and errors as of `evaluate`.
+    """Evaluate several benchmarks one after the other, once all of them are found.
 
     Args:
         root: of one benchmark its folder; of several the folder that holds theirs.
         datasets: names of the benchmarks.
-        trackers: see `evaluate`, as the rest.
-        results: see there.
-        jobs: see there.
-        cluster: see there.
-        allow_missing: see there.
-        options: see there.
-        names: see there.
-        watch: see there.
+        evaluate_one: evaluates the benchmark of a name in its folder, normally by `evaluate`.
 
     Returns:
-        What `evaluate` returns, by benchmark.
+        What ``evaluate_one`` returned, by benchmark.
+
+    Raises:
+        UserError: a benchmark is not there, or as of ``evaluate_one``.
     """
-    # All must be there before the first is run.
     roots = {name: root if len(datasets) == 1 else _root_of(name, root) for name in datasets}
-    return {
-        name: evaluate(place, name, trackers, results, jobs, cluster, allow_missing, options, names, watch)
-        for name, place in roots.items()
-    }
+    return {name: evaluate_one(place, name) for name, place in roots.items()}
 
 
 def _root_of(name: BenchmarkName, root: Path) -> Path:
