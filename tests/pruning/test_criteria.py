@@ -114,3 +114,12 @@ def test_unknown_criteria_are_refused() -> None:
 def test_scores_that_are_no_scores_are_refused(given: list[float]) -> None:
     with pytest.raises(UserError, match="3 finite numbers from 0 up"):
         scores(GROUPS, Context(Chain([1, 2, 3], [1, 1, 1]), X), lambda group, context: np.array(given))
+
+
+@pytest.mark.parametrize(
+    "broken", [lambda: None, lambda group, context: context.nothing, "no function", lambda g, c: "x"]
+)
+def test_a_criterion_that_fails_is_one_line(broken: Any) -> None:
+    with pytest.raises(UserError, match=r"the criterion failed on a \(\w+Error: .*fix the function") as refused:
+        scores(GROUPS, Context(Chain([1, 2, 3], [1, 1, 1]), X), broken)
+    assert "\n" not in str(refused.value)

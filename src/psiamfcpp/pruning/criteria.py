@@ -120,11 +120,17 @@ def scores(groups: Mapping[str, Group], context: Context, criterion: Criterion) 
     """Return what a criterion gives for each group, by name.
 
     Raises:
-        UserError: not one finite number from 0 up for each filter; or as of the criterion.
+        UserError: the criterion fails, or gives anything but one finite number from 0 up for each filter.
     """
     found = {}
     for name, group in groups.items():
-        given = np.asarray(criterion(group, context), dtype=np.float64)
+        try:
+            given = np.asarray(criterion(group, context), dtype=np.float64)
+        except UserError:
+            raise
+        except Exception as error:  # a function of the user's can fail in any way
+            said = f"the criterion failed on {name} ({type(error).__name__}: {error})"
+            raise UserError(f"{said}: fix the function f(group, context) -> scores (n,)") from error
         if given.shape != (group.width,) or not np.isfinite(given).all() or (given < 0).any():
             raise UserError(
                 f"the criterion gave {name} scores of shape {given.shape}: {group.width} finite numbers from 0 up are "
