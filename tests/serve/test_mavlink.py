@@ -563,13 +563,13 @@ def test_messages_of_other_dialects_and_kinds_are_ignored(station: Station, foll
     unharmed(follower)
 
 
-def test_a_flood_of_commands_is_mostly_rejected(station: Station, follower: Follower) -> None:
+def test_a_flood_of_commands_starts_nothing_and_harms_nothing(station: Station, follower: Follower) -> None:
     follower.add(BLOB)
     for _ in range(300):
         station.command(mav.MAV_CMD_CAMERA_TRACK_RECTANGLE, 0.5, 0.5, 0.5001, 0.5001)
-    results = [station.wait("COMMAND_ACK").result for _ in range(40)]
-    assert mav.MAV_RESULT_TEMPORARILY_REJECTED in results
-    assert mav.MAV_RESULT_ACCEPTED not in results
+    # how many are rejected unread depends on how fast the others are answered: see mavlink/test_commands.py
+    results = {station.wait("COMMAND_ACK").result for _ in range(40)}
+    assert results <= {mav.MAV_RESULT_TEMPORARILY_REJECTED, mav.MAV_RESULT_IN_PROGRESS, mav.MAV_RESULT_DENIED}
     unharmed(follower)
 
 
