@@ -23,7 +23,7 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from psiamfcpp import TargetPool, Track, Tracker, TrackerOptions, UserError, __version__, follow, open_tracker
+from psiamfcpp import Span, TargetPool, Track, Tracker, TrackerOptions, UserError, __version__, follow, open_tracker
 
 version: str = __version__
 frame: NDArray[np.uint8] = np.zeros((240, 320, 3), np.uint8)
@@ -42,7 +42,8 @@ pool.add(frame, (100, 80, 40, 30)).box  # type: ignore[attr-defined]  # wrong
 other = open_tracker("dcf:kcf", options)
 other.init(frame, (100, 80, 40, 30))
 other.close("now")  # type: ignore[call-arg]  # wrong
-shots: Iterator[list[Track]] = follow("flight.mp4", [(618, 329, 53, 46)], options=options)
+span = Span(start="1:30", every=2)
+shots: Iterator[list[Track]] = follow("flight.mp4", [(618, 329, 53, 46)], options=options, span=span)
 try:
     boxes = [[track.box for track in tracks] for tracks in shots]
 except UserError as error:

@@ -5,5 +5,16 @@ from psiamfcpp.recipes.follow import follow
 from psiamfcpp.trackers import TargetPool, Track, TrackerOptions, open_tracker
 from psiamfcpp.trackers.siamfcpp import Tracker
 from psiamfcpp.version import __version__
+from psiamfcpp.video.span import Span
 
-__all__ = ["TargetPool", "Track", "Tracker", "TrackerOptions", "UserError", "__version__", "follow", "open_tracker"]
+__all__ = [
+    "Span",
+    "TargetPool",
+    "Track",
+    "Tracker",
+    "TrackerOptions",
+    "UserError",
+    "__version__",
+    "follow",
+    "open_tracker",
+]

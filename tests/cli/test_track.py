@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import json
 import signal
 import subprocess
@@ -15,9 +16,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+import psiamfcpp
 from psiamfcpp import TargetPool
-from psiamfcpp.video.source import Source
+from psiamfcpp.video.source import Source, open_source
 from psiamfcpp.video.writer import VideoWriter
+from psiamfcpp.zoo import DEFAULT_MODEL
 
 from .conftest import FRAMES, PATH, Run, count_frames, read_boxes
 
@@ -41,7 +44,10 @@ def test_track_follows_and_writes(run: Run, blob_engine: Any, clip: Path, output
     ended = run("track", clip, "--box", BOX, *files, "--json")
     assert (ended.code, ended.err) == (0, "")
     result = json.loads(ended.out)
-    assert result.keys() == {"frames", "fps", "boxes", "scores", "states"}
+    assert result.keys() == {"version", "tracker", "source", "frames", "fps", "numbers", "boxes", "scores", "states"}
+    assert result["source"] == {"name": str(clip), "width": 320, "height": 240, "fps": 25.0}
+    assert (result["version"], result["tracker"]) == (psiamfcpp.__version__, DEFAULT_MODEL)
+    assert result["numbers"] == list(range(FRAMES))
     assert (result["frames"], result["states"]) == (FRAMES, ["tracking"] * FRAMES)
     assert result["fps"] > 0
     assert np.array(result["boxes"]) == pytest.approx(np.array(PATH), abs=2)
@@ -49,6 +55,54 @@ def test_track_follows_and_writes(run: Run, blob_engine: Any, clip: Path, output
     assert read_boxes(outputs / "b.txt") == pytest.approx(np.array(result["boxes"]), abs=0.006)
     assert count_frames(outputs / "o.mp4") == FRAMES
     assert names(outputs) == ["b.txt", "o.mp4"]
+
+
+def test_a_part_of_a_source_is_followed(run: Run, blob_engine: Any, pictures: Path, outputs: Path) -> None:
+    box = ",".join(str(v) for v in PATH[2])
+    part = ("--start", "#2", "--stop", "#9", "--every", "3", "--json")
+    files = ("--boxes", outputs / "b.csv", "--output", outputs / "o.mov")
+    result = json.loads(run("track", pictures, "--box", box, *part, *files).out)
+    assert (result["frames"], result["numbers"]) == (3, [2, 5, 8])
+    assert np.array(result["boxes"]) == pytest.approx(np.array(PATH[2:9:3]), abs=2)
+    with (outputs / "b.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    # a folder of images plays at 30 frames per second
+    assert [(row["frame"], row["seconds"], row["state"]) for row in rows] == [
+        ("2", "0.067", "tracking"),
+        ("5", "0.167", "tracking"),
+        ("8", "0.267", "tracking"),
+    ]
+    assert count_frames(outputs / "o.mov") == 3
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--start", "later"], "'later' is no moment"),
+        (["--start", "#3", "--stop", "#2"], "stop #2 is not after start #3"),
+        (["--start", "99"], "start 99 is after the last frame: the source has 10 frames"),
+        (["--every", "0"], "every is 0"),
+    ],
+)
+def test_a_part_without_frames_is_refused(
+    run: Run, blob_engine: Any, pictures: Path, outputs: Path, options: list[str], message: str
+) -> None:
+    files = ("--output", outputs / "o.mp4", "--boxes", outputs / "b.txt")
+    assert message in run("track", pictures, "--box", BOX, *files, *options).refused()
+    assert names(outputs) == []
+
+
+def test_what_is_drawn_can_be_chosen(run: Run, blob_engine: Any, pictures: Path, outputs: Path) -> None:
+    frames = {}
+    for name, options in {"all": [], "bare": ["--no-fps", "--no-label"], "trail": ["--trail"]}.items():
+        path = outputs / f"{name}.avi"
+        assert run("track", pictures, "--box", BOX, "--output", path, *options).code == 0
+        with open_source(path) as video:
+            frames[name] = list(video)[-1].astype(int)
+    corner = (slice(0, 20), slice(0, 30))
+    assert np.abs(frames["all"] - frames["bare"])[corner].max() > 100
+    # the way from the first box to the last is drawn
+    assert (np.abs(frames["trail"] - frames["all"]).max(axis=-1) > 60).sum() > 15
 
 
 @pytest.mark.parametrize(

@@ -17,8 +17,9 @@ import pytest
 from psiamfcpp.errors import UserError
 from psiamfcpp.serve.control import Control
 from psiamfcpp.serve.follower import BusyError, Follower
-from psiamfcpp.serve.recorder import COLUMNS, Recorder
+from psiamfcpp.serve.recorder import Recorder
 from psiamfcpp.trackers import TargetPool
+from psiamfcpp.video.boxes import COLUMNS
 from psiamfcpp.video.source import Image, open_source
 from psiamfcpp.video.writer import VideoWriter
 

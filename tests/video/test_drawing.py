@@ -8,7 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from psiamfcpp.geometry import Box
-from psiamfcpp.video.drawing import STATE_COLOURS, Colour, draw, draw_status
+from psiamfcpp.trackers import Track
+from psiamfcpp.video.drawing import STATE_COLOURS, Colour, Overlay, draw, draw_status, draw_targets
 
 COLOUR = STATE_COLOURS["tracking"]
 
@@ -100,3 +101,26 @@ def test_status_lines_show_at_the_top_left() -> None:
     assert (two != frame).sum() > 2 * (one != frame).sum()
     assert (two[200:] == 200).all() and (two[:, 500:] == 200).all()
     assert (draw_status(frame, []) == frame).all()
+
+
+def test_a_lost_target_is_dashed_and_keeps_its_corners() -> None:
+    frame = np.zeros((240, 320, 3), np.uint8)
+    solid, dashed = (
+        draw_targets(frame, {1: Track((50, 60, 100, 80), 0.5, state)}, Overlay(no_label=True)).any(axis=-1)
+        for state in ("tracking", "lost")
+    )
+    edge = (60, slice(50, 150))
+    assert solid[edge].all()
+    assert 0.3 < dashed[edge].mean() < 0.8
+    assert dashed[60, 50]
+    assert dashed[60, 149] or dashed[139, 149]
+
+
+def test_a_trail_joins_the_centres_of_the_boxes_before() -> None:
+    frame = np.zeros((240, 320, 3), np.uint8)
+    way = [(20.0, 20.0, 10.0, 10.0), (float("nan"), 0.0, 1.0, 1.0), (1e9, 20.0, 10.0, 10.0), (120.0, 20.0, 10.0, 10.0)]
+    track = Track((220, 20, 10, 10), 1.0, "tracking")
+    bare = draw_targets(frame, {1: track}, Overlay(no_label=True))
+    trailed = draw_targets(frame, {1: track}, Overlay(no_label=True), {1: way})
+    assert not bare[24, 30:200].any()
+    assert trailed[23:27, 30:200].any(axis=(0, 2)).all()

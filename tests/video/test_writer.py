@@ -17,7 +17,7 @@ import pytest
 
 from psiamfcpp.errors import UserError
 from psiamfcpp.video.source import Image, open_source
-from psiamfcpp.video.writer import BoxWriter, VideoWriter
+from psiamfcpp.video.writer import VideoWriter
 
 
 @pytest.fixture(params=["h264", "mpeg4"])
@@ -63,7 +63,7 @@ def read(path: Path) -> list[Image]:
         return list(source)
 
 
-@pytest.mark.parametrize("suffix", [".mp4", ".mkv", ".avi", ".MP4"])
+@pytest.mark.parametrize("suffix", [".mp4", ".mov", ".mkv", ".avi", ".MP4"])
 @pytest.mark.parametrize("size", [(64, 48), (65, 47)])
 def test_a_video_reads_back(tmp_path: Path, codec: str, suffix: str, size: tuple[int, int]) -> None:
     path, (width, height) = tmp_path / f"a{suffix}", size
@@ -124,7 +124,7 @@ def test_without_a_frame_nothing_is_left(tmp_path: Path, codec: str) -> None:
 @pytest.mark.parametrize(
     ("name", "fps", "size", "message"),
     [
-        ("a.mov", 25, (64, 48), r"unknown format: .*\.mp4"),
+        ("a.wmv", 25, (64, 48), r"unknown format: .*\.mp4"),
         ("a", 25, (64, 48), "unknown format"),
         ("missing/a.mp4", 25, (64, 48), "cannot be written"),
         ("folder.mp4", 25, (64, 48), "a folder has that name"),
@@ -211,32 +211,3 @@ def test_a_second_interruption_leaves_no_part(tmp_path: Path, monkeypatch: pytes
             monkeypatch.setattr(writer._encoder, "finish", interrupt)
             raise KeyboardInterrupt
     assert [path.name for path in tmp_path.iterdir()] == ["a.mkv"]
-
-
-def test_boxes_are_on_disk_as_they_are_written(tmp_path: Path) -> None:
-    path = tmp_path / "a.txt"
-    with pytest.raises(KeyboardInterrupt), BoxWriter(path) as writer:
-        writer.write((1, 2.005, 3.999, 40))
-        assert path.read_text() == "1.00,2.00,4.00,40.00\n"
-        writer.write((-1.5, 0, 1e4, 2))
-        raise KeyboardInterrupt
-    assert path.read_text() == "1.00,2.00,4.00,40.00\n-1.50,0.00,10000.00,2.00\n"
-
-
-def test_a_full_disk_leaves_whole_lines(tmp_path: Path, disk_of: Any) -> None:
-    path = tmp_path / "a.txt"
-    with BoxWriter(path) as writer, disk_of(50), pytest.raises(UserError, match=f"{path} cannot be written"):
-        for _ in range(10):
-            writer.write((1, 2, 3, 4))
-    assert path.read_text() == "1.00,2.00,3.00,4.00\n" * 2
-
-
-@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="/dev/full")
-def test_a_full_device_is_told() -> None:
-    with BoxWriter("/dev/full") as writer, pytest.raises(UserError, match="/dev/full cannot be written"):
-        writer.write((1, 2, 3, 4))
-
-
-def test_boxes_into_a_missing_folder_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(UserError, match="cannot be written"):
-        BoxWriter(tmp_path / "none" / "a.txt")

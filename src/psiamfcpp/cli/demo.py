@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator
-from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -14,8 +14,9 @@ from psiamfcpp.demo.clip import DemoFrame, render
 from psiamfcpp.errors import UserError
 from psiamfcpp.evaluation.metrics import score_sequence
 from psiamfcpp.geometry import Image
-from psiamfcpp.recipes.follow import follow_to_files
+from psiamfcpp.recipes.follow import Outputs, follow_to_files
 from psiamfcpp.trackers import TargetPool, TrackerOptions
+from psiamfcpp.video.span import Shot
 from psiamfcpp.zoo import DEFAULT_MODEL
 
 FPS = 30.0
@@ -48,14 +49,21 @@ def demo(
     clip: list[DemoFrame] = []
 
     def images() -> Iterator[Image]:
-        for shot in chain([first], shots):
+        for shot in itertools.chain([first], shots):
             # Labels are kept and images dropped, so that memory does not grow with the clip.
             clip.append(DemoFrame(shot.image[:0], shot.box, shot.visible))
             yield shot.image
 
     with progress() as bar:
         task = bar.add_task("demo", total=frames)
-        result = follow_to_files(images(), pool, [first.box], FPS, output, None, lambda: bar.advance(task))
+        result = follow_to_files(
+            itertools.starmap(Shot, enumerate(images())),
+            pool,
+            [first.box],
+            FPS,
+            Outputs(output),
+            advance=lambda: bar.advance(task),
+        )
     if result.ended:
         raise KeyboardInterrupt
     truth = np.array([shot.box for shot in clip])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -11,9 +12,15 @@ import tyro
 from psiamfcpp.cli.output import notes, parse_box, print_json, progress
 from psiamfcpp.errors import UserError
 from psiamfcpp.files import check_outputs
-from psiamfcpp.recipes.follow import boxes_paths, follow_to_files
+from psiamfcpp.geometry import Image
+from psiamfcpp.recipes.follow import Outputs, follow_to_files
 from psiamfcpp.trackers import STATES, State, TargetPool, Track, TrackerOptions
-from psiamfcpp.video.source import open_source
+from psiamfcpp.version import __version__
+from psiamfcpp.video.boxes import boxes_paths
+from psiamfcpp.video.drawing import Overlay
+from psiamfcpp.video.source import Source, open_source
+from psiamfcpp.video.span import Shot, Span, shots
+from psiamfcpp.video.threads import ahead
 from psiamfcpp.zoo import DEFAULT_MODEL
 
 
@@ -24,6 +31,8 @@ def track(
     tracker: str | None = None,
     output: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None,
     boxes: Path | None = None,
+    span: Span = Span(),  # noqa: B008 - frozen
+    overlay: Overlay = Overlay(),  # noqa: B008 - frozen
     options: TrackerOptions = TrackerOptions(),  # noqa: B008 - frozen
     json: bool = False,
 ) -> None:
@@ -31,13 +40,16 @@ def track(
 
     Args:
         source: video file, camera number, RTSP or HTTP address, folder of images, or glob of images.
-        box: x,y,w,h of the target on the first frame, pixels, 0-based; repeat it to follow several.
+        box: x,y,w,h of the target on the first frame that is followed, pixels, 0-based; repeat it to follow several.
         model: name of a shipped model, or a model file.
         tracker: any other tracker instead, as opencv:mil, dcf:kcf or module:pkg.mod:Class.
-        output: video to write (.mp4, .mkv or .avi) with box, score, state and speed.
-        boxes: text file to write: one x,y,w,h per line; with several targets one each, NAME.1.txt, NAME.2.txt...
+        output: video to write (.mp4, .mov, .mkv or .avi) with box, score, state and speed.
+        boxes: file to write. .csv and .jsonl: seconds, frame, target, box, score and state of each target and frame.
+            Text otherwise: one x,y,w,h per line; with several targets one each, NAME.1.txt, NAME.2.txt...
+        span: which part of the source.
+        overlay: what is drawn.
         options: how the model runs.
-        json: print one JSON object with frames, fps and boxes; with several targets, also all in targets.
+        json: print one JSON object: source, tracker, frame numbers, boxes; with several targets, also all in targets.
     """
     if not box:
         raise UserError("--box is missing: give x,y,w,h of the target on the first frame, in pixels")
@@ -50,13 +62,17 @@ def track(
         pool = TargetPool(tracker or model, options=options)
         files.callback(pool.close)
         task = bar.add_task(video.name, total=video.frame_count)
-        result = follow_to_files(video, pool, starts, video.fps, output, boxes, lambda: bar.advance(task))
+        outputs = Outputs(output, boxes, overlay)
+        frames = files.enter_context(_read(video, span, lambda: bar.advance(task)))
+        result = follow_to_files(frames, pool, starts, video.fps, outputs, span.every)
     # by target instead of by frame
     targets = [list(tracks) for tracks in zip(*result.tracks, strict=True)]
     count = len(result.tracks)
     if json:
         figures = [_columns(tracks) for tracks in targets]
-        print_json({"frames": count, "fps": result.fps, **figures[0], **({"targets": figures} if figures[1:] else {})})
+        about = _about(video, result.size, tracker or model)
+        found = {"frames": count, "fps": result.fps, "numbers": result.numbers, **figures[0]}
+        print_json({**about, **found, **({"targets": figures} if figures[1:] else {})})
     else:
         numbers = [f"target {number} " if targets[1:] else "" for number in range(1, len(targets) + 1)]
         summaries = [
@@ -67,6 +83,26 @@ def track(
         raise KeyboardInterrupt
     if result.ended:
         raise UserError(f"{result.ended} (the {count} frames before that were followed)")
+
+
+@contextlib.contextmanager
+def _read(video: Source, span: Span, advance: Callable[[], None]) -> Iterator[Iterator[Shot]]:
+    """Give the frames of a span; they are read ahead in a thread, but not those of a live source, which grow old."""
+
+    def counted() -> Iterator[Image]:
+        for frame in video:
+            advance()
+            yield frame
+
+    selected = shots(counted(), video.fps, span)
+    with contextlib.nullcontext(selected) if video.live else ahead(selected) as read:
+        yield read
+
+
+def _about(video: Source, size: tuple[int, int], tracker: str) -> dict[str, Any]:
+    width, height = size
+    source = {"name": video.name, "width": width, "height": height, "fps": video.fps}
+    return {"version": __version__, "tracker": tracker, "source": source}
 
 
 def _columns(tracks: list[Track]) -> dict[str, list[Any]]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import time
+from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -14,10 +15,16 @@ from numpy.typing import ArrayLike
 from psiamfcpp.errors import UserError
 from psiamfcpp.geometry import Box, Image
 from psiamfcpp.trackers import TargetPool, Track, TrackerOptions
-from psiamfcpp.video.drawing import draw_status, draw_targets
+from psiamfcpp.video.boxes import BoxWriter
+from psiamfcpp.video.capture import FALLBACK_FPS
+from psiamfcpp.video.drawing import Overlay, draw_status, draw_targets
 from psiamfcpp.video.source import open_source
-from psiamfcpp.video.writer import BoxWriter, VideoWriter
+from psiamfcpp.video.span import Shot, Span, shots
+from psiamfcpp.video.threads import behind
+from psiamfcpp.video.writer import VideoWriter
 from psiamfcpp.zoo import DEFAULT_MODEL
+
+_TRAIL_S = 2.0
 
 
 @dataclass
@@ -26,6 +33,10 @@ class Followed:
 
     tracks: list[list[Track]] = field(default_factory=list)
     """frame by frame, in each the targets in the order of their boxes"""
+    numbers: list[int] = field(default_factory=list)
+    """of each frame in the source, from 0"""
+    size: tuple[int, int] = (0, 0)
+    """``(width, height)`` of the frames, pixels"""
     seconds: list[float] = field(default_factory=list)
     """time of each init or update, apart from decoding and drawing"""
     ended: str = ""
@@ -43,18 +54,21 @@ def follow(
     boxes: Sequence[ArrayLike],
     tracker: str = DEFAULT_MODEL,
     options: TrackerOptions = TrackerOptions(),  # noqa: B008 - frozen
+    span: Span = Span(),  # noqa: B008 - frozen
 ) -> Iterator[list[Track]]:
     """Follow boxes through a video, frame by frame.
 
     Args:
         source: a video file, camera number, address, folder or glob of images (see `psiamfcpp.video.source`), or the
             frames themselves, each ``(H, W, 3)`` uint8, BGR.
-        boxes: ``(x, y, w, h)`` of each target on the first frame, pixels, 0-based; at least one.
+        boxes: ``(x, y, w, h)`` of each target on the first frame of the span, pixels, 0-based; at least one.
         tracker: our model, or any other tracker (see `psiamfcpp.open_tracker`).
         options: how our model runs.
+        span: which part of the source to follow, as ``Span(start="1:30", stop="#4000", every=2)``.
 
     Yields:
-        For each frame one track per box, in the order of the boxes; the first frame's are the boxes themselves.
+        For each frame of the span one track per box, in the order of the boxes; the first frame's are the boxes
+        themselves.
 
     Raises:
         UserError: the source cannot be read, a box cannot be tracked, or there is no such tracker.
@@ -62,61 +76,71 @@ def follow(
     if not len(boxes):
         raise UserError("boxes is empty: give x,y,w,h of at least one target on the first frame")
     with contextlib.ExitStack() as stack:
-        frames: Iterable[Image]
-        frames = stack.enter_context(open_source(source)) if isinstance(source, str | int | Path) else source
+        if isinstance(source, str | int | Path):
+            video = stack.enter_context(open_source(source))
+            selected = shots(video, video.fps, span)
+        else:
+            selected = shots(source, FALLBACK_FPS, span)
         pool = TargetPool(tracker, options=options)
         stack.callback(pool.close)
-        for frame in frames:
-            tracks = pool.update(frame) if pool.numbers else dict(pool.add(frame, box) for box in boxes)
-            yield list(tracks.values())
+        for _, frame in selected:
+            yield list(_followed(pool, frame, boxes).values())
+
+
+@dataclass(frozen=True)
+class Outputs:
+    """Files to write while targets are followed."""
+
+    video: Path | None = None
+    """frames with box, state and score, see `psiamfcpp.video.writer.SUFFIXES`"""
+    boxes: Path | None = None
+    """boxes as text, .csv or .jsonl, see `psiamfcpp.video.boxes.BoxWriter`"""
+    overlay: Overlay = field(default_factory=Overlay)
 
 
 def follow_to_files(
-    frames: Iterator[Image],
+    frames: Iterable[Shot],
     pool: TargetPool,
     targets: Sequence[Box],
     fps: float,
-    output: Path | None = None,
-    boxes: Path | None = None,
+    outputs: Outputs,
+    every: int = 1,
     advance: Callable[[], None] = lambda: None,
 ) -> Followed:
     """Follow boxes through frames, and write video and boxes on the way.
 
-    An interruption or a source that ends early ends it; what was written until then is complete.
+    An interruption or a source that ends early ends it; what was written until then is complete. Drawing and encoding
+    run in a thread of their own, beside the tracker.
 
     Args:
-        frames: ``(H, W, 3)`` uint8, BGR.
+        frames: with their numbers, see `psiamfcpp.video.span.shots`.
         pool: what follows them; without targets yet.
         targets: the boxes on the first frame, at least one.
-        fps: frame rate of the written video.
-        output: video to write, with box, score, state and speed.
-        boxes: text file to write, one ``x,y,w,h`` per line; with several targets, one file each (see `boxes_paths`).
+        fps: frames per second of the source.
+        outputs: files to write.
+        every: the frames are one in so many of the source's; the video keeps its pace.
         advance: called after each frame.
 
     Raises:
         UserError: the first frame cannot be had, a box is wrong, or a file cannot be written.
     """
     result = Followed()
+    read = iter(frames)
     with contextlib.ExitStack() as files:
-        video: VideoWriter | None = None
-        box_files: list[BoxWriter] = []
+        write: Callable[[Shot, dict[int, Track], float], None] | None = None
         try:
-            while (frame := _next(frames, result)) is not None:
+            while (shot := _next(read, result)) is not None:
                 start = time.perf_counter()
-                tracks = pool.update(frame) if result.tracks else dict(pool.add(frame, box) for box in targets)
+                tracks = (
+                    pool.update(shot.image) if result.tracks else dict(pool.add(shot.image, box) for box in targets)
+                )
                 result.seconds.append(time.perf_counter() - start)
-                if not result.tracks:
-                    # Not before a box was accepted: a wrong one must not cost the files of an earlier run.
-                    if output:
-                        video = files.enter_context(VideoWriter(output, fps, (frame.shape[1], frame.shape[0])))
-                    if boxes:
-                        paths = boxes_paths(boxes, len(targets))
-                        box_files = [files.enter_context(BoxWriter(path)) for path in paths]
+                # Not before a box was accepted: a wrong one must not cost the files of an earlier run.
+                write = write or files.enter_context(behind(_writer(outputs, shot, len(targets), fps, every, files)))
+                result.size = (shot.image.shape[1], shot.image.shape[0])
+                result.numbers.append(shot.number)
                 result.tracks.append(list(tracks.values()))
-                for box_file, track in zip(box_files, tracks.values(), strict=False):
-                    box_file.write(track.box)
-                if video:
-                    video.write(draw_status(draw_targets(frame, tracks), [f"{result.fps:.0f} fps"]))
+                write(shot, tracks, result.fps)
                 advance()
         except KeyboardInterrupt:
             if not result.tracks:
@@ -125,14 +149,35 @@ def follow_to_files(
     return result
 
 
-def boxes_paths(path: Path, count: int) -> list[Path]:
-    """The boxes file of each target: the path itself for one, ``boxes.1.txt``, ``boxes.2.txt``... for several."""
-    if count == 1:
-        return [path]
-    return [path.with_name(f"{path.stem}.{number}{path.suffix}") for number in range(1, count + 1)]
+def _writer(
+    outputs: Outputs, first: Shot, targets: int, fps: float, every: int, files: contextlib.ExitStack
+) -> Callable[[Shot, dict[int, Track], float], None]:
+    """Open the files; return what writes a frame, its tracks and the speed until then to them."""
+    size = (first.image.shape[1], first.image.shape[0])
+    video = files.enter_context(VideoWriter(outputs.video, fps / every, size)) if outputs.video else None
+    boxes = files.enter_context(BoxWriter(outputs.boxes, targets, fps)) if outputs.boxes else None
+    trails: dict[int, deque[Box]] = {}
+    length = max(1, round(_TRAIL_S * fps / every))
+
+    def write(shot: Shot, tracks: dict[int, Track], speed: float) -> None:
+        if boxes:
+            boxes.write(shot.number, list(tracks.values()))
+        if video is None:
+            return
+        image = draw_targets(shot.image, tracks, outputs.overlay, trails)
+        video.write(image if outputs.overlay.no_fps else draw_status(image, [f"{speed:.0f} fps"]))
+        for number, track in tracks.items() if outputs.overlay.trail else ():
+            trails.setdefault(number, deque(maxlen=length)).append(track.box)
+
+    return write
 
 
-def _next(frames: Iterator[Image], result: Followed) -> Image | None:
+def _followed(pool: TargetPool, frame: Image, boxes: Sequence[ArrayLike]) -> dict[int, Track]:
+    """Start the targets on the first frame that a pool sees; update them on the others."""
+    return pool.update(frame) if pool.numbers else dict(pool.add(frame, box) for box in boxes)
+
+
+def _next(frames: Iterator[Shot], result: Followed) -> Shot | None:
     """The next frame, or None at the end; once something was followed, a break is an end with its reason."""
     try:
         return next(frames, None)

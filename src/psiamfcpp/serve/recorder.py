@@ -11,10 +11,10 @@ from pathlib import Path
 
 from psiamfcpp.errors import UserError
 from psiamfcpp.serve.follower import BusyError, Follower, Shot
+from psiamfcpp.video.boxes import COLUMNS, csv_row
 from psiamfcpp.video.drawing import draw_targets
 from psiamfcpp.video.writer import LineWriter, VideoWriter
 
-COLUMNS = ("seconds", "frame", "target", "x", "y", "w", "h", "score", "state")
 # Frames that may wait for the encoder; more are left out of the video, and the ones before them shown for longer.
 _WAITING = 2
 # A gap in the stream becomes a still picture, but a night without one must not fill the disk.
@@ -170,7 +170,7 @@ class _Recording:
         if (width, height) != self._size:
             raise UserError(f"the stream changed its size from {self._size[0]}x{self._size[1]}: start a new recording")
         seconds = max(0.0, shot.read_at - self._start)
-        self._table.write(*_rows(shot, seconds))
+        self._table.write(*(csv_row(seconds, shot.number, *target) for target in shot.tracks.items()))
         image = draw_targets(shot.image, shot.tracks)
         due = round(seconds * self._fps) + 1
         self._written = max(self._written, due - round(_LONGEST_STILL_S * self._fps))
@@ -198,12 +198,3 @@ class _Recording:
                         os.fsync(file)
                     finally:
                         os.close(file)
-
-
-def _rows(shot: Shot, seconds: float) -> list[str]:
-    rows = []
-    for number, track in shot.tracks.items():
-        score = "" if track.score is None else f"{track.score:.3f}"
-        box = ",".join(f"{v:.2f}" for v in track.box)
-        rows.append(f"{seconds:.3f},{shot.number},{number},{box},{score},{track.state or ''}")
-    return rows

@@ -14,13 +14,13 @@ import cv2
 import numpy as np
 
 from psiamfcpp.errors import UserError
-from psiamfcpp.geometry import Box, Image
+from psiamfcpp.geometry import Image
 
 if TYPE_CHECKING:
     from av import VideoFrame
 
 
-SUFFIXES = (".mp4", ".mkv", ".avi")
+SUFFIXES = (".mp4", ".mov", ".mkv", ".avi")
 BEARS_CUTS = ".mkv"
 """the format that players open although its end is missing"""
 _CLUSTER_MS = 100
@@ -42,7 +42,7 @@ class VideoWriter:
         """Check that the video can be written.
 
         Args:
-            path: the file; ``.mp4``, ``.mkv`` or ``.avi``. An older one is replaced at the end.
+            path: the file; ``.mp4``, ``.mov``, ``.mkv`` or ``.avi``. An older one is replaced at the end.
             fps: frames a second.
             size: ``(width, height)`` in pixels; an odd side gains one pixel in the video.
 
@@ -207,36 +207,6 @@ class LineWriter:
     def close(self) -> None:
         """Close the file; may be called twice."""
         self._file.close()
-
-
-class BoxWriter:
-    """A text file with one ``x,y,w,h`` line per frame, on disk as soon as it is written, never half a line."""
-
-    def __init__(self, path: str | Path) -> None:
-        """Start the file anew.
-
-        Raises:
-            UserError: it cannot be created.
-        """
-        self._lines = LineWriter(path, "boxes")
-
-    def __enter__(self) -> BoxWriter:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
-
-    def write(self, box: Box) -> None:
-        """Append a box ``(x, y, w, h)``, pixels, with two decimals.
-
-        Raises:
-            UserError: the disk is full; the lines before stay.
-        """
-        self._lines.write(",".join(f"{v:.2f}" for v in box))
-
-    def close(self) -> None:
-        """Close the file; may be called twice."""
-        self._lines.close()
 
 
 class _H264:
