@@ -230,12 +230,12 @@ def test_calibrate_stores_limits_in_a_copy(
     assert described["provenance"]["calibration"] == result["rates"]
     assert tiny_model.read_bytes() == before
     # in half precision the weights take half the room, and the file still loads
-    assert "2 clips" in run(*command, "--half").out
+    assert "2 clips" in run(*command, "--half", "--overwrite").out
     assert output.stat().st_size < 0.75 * len(before)
     assert load(output).spec.widths == load(tiny_model).spec.widths
     # the size of the search crop is the model's own, or the one asked for
     assert described["search_size"] == load(tiny_model).spec.search_size != 271
-    assert run(*command, "--search-size", 271).code == 0
+    assert run(*command, "--search-size", 271, "--overwrite").code == 0
     assert load(output).spec.search_size == 271
     assert {s.shape[0] for s in blob_engine.searches[-10:]} == {271}
 

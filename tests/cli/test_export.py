@@ -25,7 +25,7 @@ def test_both_graphs_are_written_and_the_difference_is_said(
     assert sorted(path.name for path in folder.iterdir()) == ["search.onnx", "template.onnx"]
     assert "against torch: scores differ by up to" in ended.out
     assert list(folder.parent.iterdir()) == [folder]
-    assert run("export", tiny_model, "-o", folder, "--pairs", "4", *data).code == 0  # again over it
+    assert run("export", tiny_model, "-o", folder, "--pairs", "4", *data, "--overwrite").code == 0
 
 
 def test_int8_is_judged_by_layer_on_given_data(
@@ -51,7 +51,7 @@ def test_what_the_graphs_cost_on_sequences_is_said(run: Run, tiny_model: Path, t
     told = json.loads(run(*args, "--json").out)["followed"]
     assert told["graphs"] == pytest.approx(told["torch"])  # float graphs give the same boxes
     assert 1 / 3 < told["torch"]["precision"] <= 1 and 0 < told["torch"]["auc"] <= 1
-    assert f"graphs precision {told['graphs']['precision']:.3f}, AUC" in run(*args).out
+    assert f"graphs precision {told['graphs']['precision']:.3f}, AUC" in run(*args, "--overwrite").out
 
 
 def test_a_failed_check_writes_nothing(run: Run, tiny_model: Path, tmp_path: Path, blob_sequence, monkeypatch) -> None:

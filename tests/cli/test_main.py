@@ -8,6 +8,7 @@ import os
 import re
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -55,6 +56,8 @@ def test_every_command_has_help_that_names_its_options(run: Run, command: str) -
     # options, run and positionals are shown by their parts or by their type
     options = inspect.signature(function).parameters.keys() - {
         "options",
+        "span",
+        "overlay",
         "constants",
         "run",
         "source",
@@ -65,6 +68,30 @@ def test_every_command_has_help_that_names_its_options(run: Run, command: str) -
     assert options
     for option in options - ({"results"} if command == "report" else set()):
         assert re.search(rf"--{option.replace('_', '-')}\b", ended.out), option
+
+
+@pytest.mark.parametrize(
+    ("command", "output"),
+    [
+        (["demo"], "o.mp4"),
+        (["plan", "no.json", "--preset", "paper"], "plan.json"),
+        (["prune", "siamfcpp-alexnet", "--plan", "no.json"], "o.safetensors"),
+        (["calibrate", "siamfcpp-alexnet", "--data", "no"], "o.safetensors"),
+        (["import", "no.pkl"], "o.safetensors"),
+        (["export", "no-such-model"], "folder"),
+        (["report", "no"], "folder"),
+    ],
+)
+def test_no_command_replaces_what_exists_unasked(run: Run, tmp_path: Path, command: list[str], output: str) -> None:
+    path = tmp_path / output
+    kept = path if path.suffix else path / "file"
+    kept.parent.mkdir(exist_ok=True)
+    kept.write_text("keep me")
+    assert "or give --overwrite" in run(*command, "-o", path).refused()
+    assert kept.read_text() == "keep me"
+    # with leave, the next complaint is of something else, or of nothing
+    if command != ["demo"]:
+        assert "--overwrite" not in run(*command, "-o", path, "--overwrite").complaint()
 
 
 @pytest.mark.parametrize(

@@ -144,7 +144,7 @@ def test_a_wrong_box_is_refused_and_costs_no_file(
     run: Run, tiny_model: Path, clip: Path, outputs: Path, box: str, message: str
 ) -> None:
     (outputs / "b.txt").write_text("1,2,3,4\n")
-    files = ("--output", outputs / "o.mp4", "--boxes", outputs / "b.txt")
+    files = ("--output", outputs / "o.mp4", "--boxes", outputs / "b.txt", "--overwrite")
     assert message in run("track", clip, "--box", box, "--model", tiny_model, *files, "--json").refused()
     # what an earlier run wrote is still there, and nothing else
     assert names(outputs) == ["b.txt"]
@@ -369,6 +369,18 @@ def test_one_wrong_box_among_several_is_refused_before_anything_is_written(
 
 def test_without_a_box_it_is_asked_for(run: Run, blob_engine: Any, clip: Path) -> None:
     assert "--box is missing: give x,y,w,h" in run("track", clip).refused()
+
+
+@pytest.mark.parametrize("name", ["o.mp4", "b.1.txt"])
+def test_a_file_is_replaced_only_when_asked(run: Run, blob_engine: Any, clip: Path, outputs: Path, name: str) -> None:
+    (outputs / name).write_text("keep me")
+    files = ("--output", outputs / "o.mp4", "--boxes", outputs / "b.txt")
+    command = ("track", clip, "--box", BOX, "--box", BOX, *files)
+    assert f"{name} exists already: choose another name, or give --overwrite" in run(*command).refused()
+    assert names(outputs) == [name]
+    assert (outputs / name).read_text() == "keep me"
+    assert run(*command, "--overwrite").code == 0
+    assert (outputs / name).read_bytes() != b"keep me"
 
 
 @pytest.mark.parametrize("option", ["--output", "--boxes"])

@@ -13,4 +13,5 @@ HeldOut = Annotated[
     int,
     tyro.conf.arg(help="hold out one clip in N of the data, the same N as in `psiamfcpp train`; 0 holds out none"),
 ]
+Overwrite = Annotated[bool, tyro.conf.arg(help="replace files that exist already")]
 Json = Annotated[bool, tyro.conf.arg(help="print one JSON object")]

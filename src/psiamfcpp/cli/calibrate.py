@@ -5,8 +5,8 @@ from __future__ import annotations
 import dataclasses
 from pathlib import Path
 
-from psiamfcpp.cli.arguments import Json, Model, Output
-from psiamfcpp.cli.output import print_json, watching
+from psiamfcpp.cli.arguments import Json, Model, Output, Overwrite
+from psiamfcpp.cli.output import check_new, print_json, watching
 from psiamfcpp.spec import TrackingConstants
 
 
@@ -18,6 +18,7 @@ def calibrate(
     search_size: int | None = None,
     held_out_every: int = 8,
     half: bool = False,
+    overwrite: Overwrite = False,
     json: Json = False,
 ) -> None:
     """Fit the confidence that separates tracking, unsure and lost, and store it in a copy of the model.
@@ -32,6 +33,7 @@ def calibrate(
     """
     from psiamfcpp.recipes import calibrate as recipe
 
+    check_new([output], overwrite)
     with watching() as watch:
         done = recipe.calibrate(
             model,

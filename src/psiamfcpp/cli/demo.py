@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from psiamfcpp.cli.arguments import Json, Output
-from psiamfcpp.cli.output import print_json, progress
+from psiamfcpp.cli.arguments import Json, Output, Overwrite
+from psiamfcpp.cli.output import check_new, print_json, progress
 from psiamfcpp.demo.clip import DemoFrame, render
 from psiamfcpp.errors import UserError
 from psiamfcpp.evaluation.metrics import score_sequence
@@ -20,15 +20,18 @@ from psiamfcpp.video.span import Shot
 from psiamfcpp.zoo import DEFAULT_MODEL
 
 FPS = 30.0
+DEFAULT_OUTPUT = Path("demo.mp4")
+"""replaced unasked, so that the command can be given again"""
 
 
 def demo(
-    output: Output = Path("demo.mp4"),
+    output: Output = DEFAULT_OUTPUT,
     model: str = DEFAULT_MODEL,
     frames: int = 300,
     seed: int = 4,
     tracker: str | None = None,
     options: TrackerOptions = TrackerOptions(),  # noqa: B008 - frozen
+    overwrite: Overwrite = False,
     json: Json = False,
 ) -> None:
     """Render an aerial clip, follow its target, write the video and print how well it went.
@@ -41,6 +44,7 @@ def demo(
         tracker: any other tracker instead, as opencv:mil or dcf:kcf.
         options: how the model runs.
     """
+    check_new([output], overwrite or output == DEFAULT_OUTPUT)
     if frames < 2:
         raise UserError(f"frames is {frames}: a clip needs at least 2")
     pool = TargetPool(tracker or model, options=options)

@@ -8,8 +8,8 @@ from typing import Any, Literal
 
 import tyro
 
-from psiamfcpp.cli.arguments import HeldOut, Json, Output
-from psiamfcpp.cli.output import print_json, watching
+from psiamfcpp.cli.arguments import HeldOut, Json, Output, Overwrite
+from psiamfcpp.cli.output import check_new, print_json, watching
 
 
 def export(
@@ -22,6 +22,7 @@ def export(
     root: Path | None = None,
     pairs: int = 128,
     layer_loss: float = 0.02,
+    overwrite: Overwrite = False,
     json: Json = False,
 ) -> None:
     """Write the graphs that run a model without torch, and check them against it.
@@ -38,6 +39,7 @@ def export(
     """
     from psiamfcpp.recipes import export as recipe
 
+    check_new([output], overwrite)
     with watching() as watch:
         done = recipe.export(
             model,

@@ -6,12 +6,13 @@ from pathlib import Path
 
 import tyro
 
-from psiamfcpp.cli.arguments import Output
+from psiamfcpp.cli.arguments import Output, Overwrite
+from psiamfcpp.cli.output import check_new
 from psiamfcpp.errors import UserError
 from psiamfcpp.files import check_outputs
 
 
-def import_(checkpoint: tyro.conf.Positional[tuple[Path, ...]], output: Output) -> None:
+def import_(checkpoint: tyro.conf.Positional[tuple[Path, ...]], output: Output, overwrite: Overwrite = False) -> None:
     """Convert an official SiamFC++ (AlexNet) checkpoint, or the deployed graphs of LightFC; no code in them is run.
 
     Args:
@@ -19,6 +20,7 @@ def import_(checkpoint: tyro.conf.Positional[tuple[Path, ...]], output: Output) 
         output: checkpoint to write, .safetensors.
     """
     check_outputs([output], checkpoint)
+    check_new([output], overwrite)
     from psiamfcpp.models import save
     from psiamfcpp.models.cost import count_parameters
     from psiamfcpp.models.network import Network

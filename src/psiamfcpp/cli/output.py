@@ -7,6 +7,7 @@ import json
 import sys
 import time
 from collections.abc import Iterable, Iterator, Sized
+from pathlib import Path
 from typing import Any
 
 from rich.console import Console
@@ -59,6 +60,19 @@ def watching() -> Iterator[Watch]:
         yield Watch(
             notes.print, lambda items, description, total=None: bar.track(items, total=total, description=description)
         )
+
+
+def check_new(outputs: Iterable[Path | None], overwrite: bool) -> None:
+    """Refuse outputs that exist already, and folders that hold something; None is passed over.
+
+    Raises:
+        UserError: names the first of them.
+    """
+    for path in (path for path in outputs if path is not None and not overwrite):
+        if path.is_dir() and any(path.iterdir()):
+            raise UserError(f"output folder {path} is not empty: choose another, or give --overwrite")
+        if path.exists() and not path.is_dir():
+            raise UserError(f"output {path} exists already: choose another name, or give --overwrite")
 
 
 def parse_box(text: str) -> Box:

@@ -7,8 +7,8 @@ from typing import Annotated, Literal
 
 import tyro
 
-from psiamfcpp.cli.arguments import HeldOut, Json
-from psiamfcpp.cli.output import print_json, watching
+from psiamfcpp.cli.arguments import HeldOut, Json, Overwrite
+from psiamfcpp.cli.output import check_new, print_json, watching
 from psiamfcpp.errors import UserError
 from psiamfcpp.files import check_outputs
 
@@ -31,6 +31,7 @@ def plan(
     flat: bool = False,
     search_size: int | None = None,
     output: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None,
+    overwrite: Overwrite = False,
     json: Json = False,
 ) -> None:
     """Choose the filters to keep, and say what that saves.
@@ -60,6 +61,7 @@ def plan(
     from psiamfcpp.recipes.scoring import score_model
 
     check_outputs([output], [source, ranks])
+    check_new([output], overwrite)
     if not source.endswith(".json"):
         table = score_model(source, criterion, ranks=ranks, data=data, held_out_every=held_out_every)
     elif criterion != "rank" or ranks or data:

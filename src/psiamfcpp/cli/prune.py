@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from psiamfcpp.cli.arguments import HeldOut, Json, Model, Output
-from psiamfcpp.cli.output import print_json, watching
+from psiamfcpp.cli.arguments import HeldOut, Json, Model, Output, Overwrite
+from psiamfcpp.cli.output import check_new, print_json, watching
 
 
 def prune(
@@ -16,6 +16,7 @@ def prune(
     images: int = 100,
     seed: int = 0,
     held_out_every: HeldOut = 8,
+    overwrite: Overwrite = False,
     json: Json = False,
 ) -> None:
     """Cut a model down to the filters that a plan keeps; fine-tune what comes out with `psiamfcpp train --init`.
@@ -33,6 +34,7 @@ def prune(
     """
     from psiamfcpp.recipes import prune as recipe
 
+    check_new([output], overwrite)
     with watching() as watch:
         pruned = recipe.prune(
             model, plan, output, data=data, images=images, seed=seed, held_out_every=held_out_every, watch=watch

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import tyro
 
-from psiamfcpp.cli.arguments import Output
-from psiamfcpp.cli.output import notes
+from psiamfcpp.cli.arguments import Output, Overwrite
+from psiamfcpp.cli.output import check_new, notes
 from psiamfcpp.datasets import BenchmarkName
 from psiamfcpp.errors import UserError
 from psiamfcpp.recipes.report import report as make_report
@@ -22,6 +22,7 @@ def report(
     allow_missing: bool = False,
     percent: bool = False,
     sequences: tuple[str, ...] = (),
+    overwrite: Overwrite = False,
 ) -> None:
     """Set trackers side by side: a page with figures, plots and frames, and its tables and plots as files.
 
@@ -34,6 +35,7 @@ def report(
         percent: show shares as percent instead of fractions, on the page and in LaTeX.
         sequences: show frames and overlap over time of these; by default those on which trackers differ most.
     """
+    check_new([output], overwrite)
     if len(dataset) != len(annotations):
         raise UserError(f"--dataset names {len(dataset)} benchmarks, but --annotations {len(annotations)} folders")
     labels: dict[str, Path] = dict(zip(dataset, annotations, strict=True))

@@ -9,7 +9,8 @@ from typing import Annotated, Any
 
 import tyro
 
-from psiamfcpp.cli.output import notes, parse_box, print_json, progress
+from psiamfcpp.cli.arguments import Overwrite
+from psiamfcpp.cli.output import check_new, notes, parse_box, print_json, progress
 from psiamfcpp.errors import UserError
 from psiamfcpp.files import check_outputs
 from psiamfcpp.geometry import Image
@@ -34,6 +35,7 @@ def track(
     span: Span = Span(),  # noqa: B008 - frozen
     overlay: Overlay = Overlay(),  # noqa: B008 - frozen
     options: TrackerOptions = TrackerOptions(),  # noqa: B008 - frozen
+    overwrite: Overwrite = False,
     json: bool = False,
 ) -> None:
     """Follow a target through a video.
@@ -56,6 +58,7 @@ def track(
     starts = [parse_box(text) for text in box]
     box_files = [] if boxes is None else boxes_paths(boxes, len(starts))
     check_outputs([output, *box_files], [source, model, tracker])
+    check_new([output, *box_files], overwrite)
     with contextlib.ExitStack() as files:
         video = files.enter_context(open_source(source, on_event=notes.print))
         bar = files.enter_context(progress())
