@@ -136,3 +136,10 @@ def test_a_model_may_have_no_calibration() -> None:
     # one that says nothing about it, as those of version 0.1 may, has the default
     without = {key: value for key, value in json.loads(spec.to_json()).items() if key != "calibration"}
     assert ModelSpec.from_json(json.dumps(without)) == ModelSpec()
+
+
+def test_sizes_and_widths_are_those_of_the_architecture() -> None:
+    spec = ModelSpec(architecture="lightfc")
+    assert (spec.widths, spec.template_size, spec.search_size) == (spec.arch.groups, 128, 256)
+    assert ModelSpec.from_json(spec.to_json()) == spec
+    assert (ModelSpec().template_size, ModelSpec().search_size) == (127, 303)

@@ -22,6 +22,8 @@ FORMAT = "psiamfcpp-model/1"
 TEMPLATE_SIZE = architecture(DEFAULT).template_size
 STRIDE = architecture(DEFAULT).stride
 FULL_WIDTHS: dict[str, int] = architecture(DEFAULT).groups
+# What a spec takes from its architecture unless it is given.
+_OWN: Any = None
 # What JSON may hold for a field, by its annotation.
 _NUMBERS: dict[Any, Any] = {"int": int, "float": (int, float)}
 
@@ -61,9 +63,11 @@ class Calibration:
 class ModelSpec:
     """A model's description, as stored in its file."""
 
-    widths: dict[str, int] = field(default_factory=lambda: dict(FULL_WIDTHS))
-    template_size: int = TEMPLATE_SIZE
-    search_size: int = architecture(DEFAULT).search_size
+    widths: dict[str, int] = _OWN
+    """of each group; by default those of the architecture"""
+    template_size: int = _OWN
+    """side of the template crop, pixels; by default that of the architecture, as is the next"""
+    search_size: int = _OWN
     constants: TrackingConstants = TrackingConstants()
     calibration: Calibration | None = Calibration()
     """None where none was fitted: then the published procedure is followed, and no state is stated"""
@@ -72,7 +76,12 @@ class ModelSpec:
     """a key of `psiamfcpp.models.arch.ARCHITECTURES`"""
 
     def __post_init__(self) -> None:
-        _check_widths(self.widths, self.arch)
+        arch = self.arch
+        own = {"widths": dict(arch.groups), "template_size": arch.template_size, "search_size": arch.search_size}
+        for name, value in own.items():
+            if getattr(self, name) is None:
+                object.__setattr__(self, name, value)
+        _check_widths(self.widths, arch)
         self.arch.score_size(self.search_size, self.template_size)
 
     @property

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -44,6 +45,12 @@ class Ended:
 
 
 Run = Callable[..., Ended]
+
+
+@pytest.fixture(autouse=True)
+def no_progress_lines(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Off a terminal, progress is a line every so many seconds: whether one comes must not depend on the machine."""
+    monkeypatch.setattr("psiamfcpp.cli.output.LINE_SECONDS", math.inf)
 
 
 @pytest.fixture

@@ -52,6 +52,18 @@ def test_demo_writes_to_the_working_folder_by_default(
     assert count_frames(tmp_path / "demo.mp4") == 2
 
 
+def test_of_a_tracker_without_states_none_is_counted(
+    run: Run, tmp_path: Path, rendered_clip: list[DemoFrame], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shown, hidden = rendered_clip[:2]
+    clip = [shown, shown, DemoFrame(hidden.image, hidden.box, False)]
+    monkeypatch.setattr("psiamfcpp.cli.demo.render", lambda seed, frames: iter(clip))
+    command = ("demo", "-o", tmp_path / "o.mp4", "--tracker", "opencv:mil", "--frames", 3, "--overwrite")
+    result = json.loads(run(*command, "--json").out)
+    assert (result["hidden_frames"], result["hidden_not_tracking"]) == (1, None)
+    assert "hidden for 1 frames; this tracker states no confidence" in run(*command).out
+
+
 @pytest.mark.parametrize(
     ("args", "message"),
     [

@@ -120,6 +120,21 @@ def test_keys_reach_the_constructor_with_their_types(module: str) -> None:
     assert tracker._tracker.keys == {"weights": "a.pth", "scale": 0.5, "deep": True, "layers": 3}
 
 
+def test_an_edited_class_is_another_tracker(module: str, tmp_path: Path) -> None:
+    tracker = choose(f"{module}:Keyed,scale=2")
+    before = tracker.identity()
+    assert before == choose(f"module:{module}:Keyed,scale=2").identity()
+    path = tmp_path / f"{module}.py"
+    path.write_text(path.read_text().replace("return self.box", "return self.box + 1"))
+    assert tracker.identity() != before
+
+
+@pytest.mark.parametrize("text", ["module:mean_shift", "module::Class", "module:pkg.mod:"])
+def test_a_name_without_class_or_module_says_what_is_missing(text: str) -> None:
+    with pytest.raises(UserError, match=r"names no class: write module:pkg\.mod:Class"):
+        choose(text).open()
+
+
 def test_a_class_without_a_score_invents_none(module: str) -> None:
     tracker = choose(f"{module}:Standing").open()
     tracker.init(FRAME, BOX)

@@ -76,10 +76,13 @@ def demo(
     found = np.array([track.box for (track,) in result.tracks])
     figures = score_sequence(truth[visible], found[visible]).figures
     states = [track.state for (track,), seen in zip(result.tracks, visible, strict=True) if not seen]
-    hidden = {"hidden_frames": len(states), "hidden_not_tracking": sum(s != "tracking" for s in states)}
+    # of a tracker that states nothing, nothing is counted
+    doubted = None if None in states else sum(state != "tracking" for state in states)
+    hidden = {"hidden_frames": len(states), "hidden_not_tracking": doubted}
     if json:
         print_json({"frames": len(clip), "fps": result.fps, **figures, **hidden, "output": str(output)})
         return
     print(f"precision {figures['precision']:.3f}, AUC {figures['auc']:.3f} over {int(visible.sum())} visible frames")
-    print(f"hidden for {len(states)} frames, in {hidden['hidden_not_tracking']} of them said to be unsure or lost")
+    said = "; this tracker states no confidence" if doubted is None else f", in {doubted} of them unsure or lost"
+    print(f"hidden for {len(states)} frames{said}")
     print(f"{result.fps:.1f} fps; video in {output}")

@@ -103,7 +103,8 @@ def plan(
     times = None
     if preset is not None:
         if preset not in spec.arch.presets:
-            raise UserError(f"unknown preset {preset!r}: {spec.architecture} has {', '.join(spec.arch.presets)}")
+            known = ", ".join(spec.arch.presets) or "none"
+            raise UserError(f"unknown preset {preset!r}: {spec.architecture} has {known}")
         chosen = planning.plan(table, spec.arch.presets[preset])
     elif remove is not None:
         if not 0 < remove < 1:

@@ -7,6 +7,7 @@ import contextlib
 import importlib
 import sys
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 import cv2
@@ -40,14 +41,20 @@ class ForeignTracker:
     def __init__(self, entry: str, options: Mapping[str, str]):
         self._entry, self._options = entry, dict(options)
         module, _, name = entry.rpartition(":")
+        if not (module and name):
+            raise UserError(f"tracker {entry!r} names no class: write module:pkg.mod:Class")
         self.name = name
         try:
             with _quiet():
-                built = getattr(importlib.import_module(module), name)
+                found = importlib.import_module(module)
+                built = getattr(found, name)
                 self._tracker = built(**{key: _value(value) for key, value in options.items()})
         except Exception as error:
             text = f"tracker {entry!r} cannot be opened ({type(error).__name__}: {error}): module:Class is needed, "
             raise UserError(text + "importable from here and built without arguments but the given keys") from error
+        # who edits a class wants it run anew, and not its results of before
+        code = getattr(found, "__file__", None)
+        self._code = [Path(code)] if code else []
         missing = [call for call in ("init", "update") if not callable(getattr(self._tracker, call, None))]
         if missing:
             raise UserError(f"tracker {entry!r} has no {missing[0]}(): init(image, box) and update(image) are needed")
@@ -58,7 +65,7 @@ class ForeignTracker:
     @property
     def identity(self) -> dict[str, Any]:
         """See `psiamfcpp.trackers.contract.Tracker`."""
-        return tracker_identity(self._entry, self._options)
+        return tracker_identity(self._entry, self._options, self._code)
 
     def init(self, frame: Image, box: ArrayLike) -> Track:
         """See `psiamfcpp.trackers.contract.Tracker`."""

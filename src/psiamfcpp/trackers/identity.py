@@ -21,16 +21,17 @@ def checksum(files: Iterable[Path]) -> str:
     return found.hexdigest()[:16] if count else ""
 
 
-def tracker_identity(entry: str, options: Mapping[str, str]) -> dict[str, Any]:
+def tracker_identity(entry: str, options: Mapping[str, str], code: Iterable[Path] = ()) -> dict[str, Any]:
     """Return the identity of a tracker that is no model of ours (see `psiamfcpp.trackers.contract.Tracker`).
 
     Args:
         entry: kind and name.
         options: as given; those that name a file count by its content.
+        code: files that the tracker is written in, where they are the user's own.
     """
     files = {key: Path(value) for key, value in options.items() if Path(value).is_file()}
     try:
-        found = checksum(files.values())
+        found = checksum([*files.values(), *code])
     except OSError:
         found = ""
     return {"entry": entry, "checksum": found, **{k: v for k, v in options.items() if k not in files}}
