@@ -17,6 +17,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+from hypothesis import HealthCheck, settings
 from numpy.typing import NDArray
 
 from psiamfcpp.demo.clip import DemoFrame, render
@@ -24,6 +25,10 @@ from psiamfcpp.spec import FULL_WIDTHS, STRIDE, ModelSpec, first_cell, score_siz
 
 Image = NDArray[np.uint8]
 BACKGROUND = 40
+
+# A verdict must not depend on how fast the machine is, nor on which examples chance draws in one run.
+settings.register_profile("psiamfcpp", deadline=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow])
+settings.load_profile("psiamfcpp")
 
 # Node ids, or their beginnings, of tests that may be skipped; the rest of a line after "#" says why.
 ALLOWED_SKIPS = Path(__file__).with_name("allowed_skips.txt")

@@ -70,27 +70,28 @@ def test_a_server_lives_records_and_ends_cleanly(tiny_model: Path, clip: Path, t
         line = process.stderr.readline()
         match = re.fullmatch(r"serving (http://127\.0\.0\.1:\d+)/\n", line)
         assert match, line
-        with httpx.Client(base_url=match[1], timeout=60) as http:
+        with httpx.Client(base_url=match[1], timeout=300) as http:
             assert http.get("/api/state").status_code == 401
             http.headers["Authorization"] = "Bearer a token of the environment"
             with pytest.raises(InvalidStatus), connect(f"{match[1].replace('http', 'ws')}/api/live"):
                 pass
             assert http.post("/api/recording").json() == {"ok": True}
+            (folder,) = records.iterdir()
             # a clip of ten frames soon begins again, which lets targets go
-            for _ in range(3):
-                assert http.post("/api/targets", json={"box": [100, 80, 40, 30]}).status_code == 201
-                time.sleep(0.3)
+            deadline = time.monotonic() + 300
+            while len({line.split(",")[1] for line in (folder / "boxes.csv").read_text().splitlines()}) < 12:
+                assert http.post("/api/targets", json={"box": [100, 80, 40, 30]}).status_code in (201, 429, 503)
+                assert time.monotonic() < deadline
+                time.sleep(0.1)
             assert http.get("/api/state").json()["recording"] is True
         process.send_signal(end)
-        out, err = process.communicate(timeout=60)
+        out, err = process.communicate(timeout=300)
         assert (process.returncode, out, err) == (0, "", "")
     finally:
         process.kill()
-    (folder,) = records.iterdir()
     assert sorted(path.name for path in folder.iterdir()) == ["boxes.csv", "video.mkv"]
     assert count_frames(folder / "video.mkv") > 5
     with (folder / "boxes.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
-    assert rows
-    assert {row["target"] for row in rows} <= {"1", "2", "3"}
+    assert len({row["frame"] for row in rows}) >= 11
     assert all(float(row["w"]) > 0 and row["state"] in ("tracking", "unsure", "lost") for row in rows)

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from psiamfcpp.errors import UserError
@@ -105,7 +105,6 @@ def test_parts_of_a_grouped_convolution_keep_the_same_positions() -> None:
         plan(table(parts=2, a=[7, 5, 1, 1, 5, 5]), keep={"a": 0.5})
 
 
-@settings(deadline=None)
 @given(st.integers(1, 400), st.floats(0.01, 1))
 def test_the_count_is_the_nearest_to_the_share(width: int, share: float) -> None:
     ranks = table(a=list(range(1, width + 1)))

@@ -37,7 +37,7 @@ def test_rank_of_constructed_maps(height: int, width: int) -> None:
     assert [np.linalg.matrix_rank(m) for m in maps.numpy()] == wanted
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(st.integers(0, 2**32 - 1), st.floats(1e-6, 1e6), st.integers(2, 40))
 def test_ranks_are_numpys_whatever_the_scale(seed: int, scale: float, side: int) -> None:
     rng = np.random.default_rng(seed)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import spearmanr
 
@@ -50,7 +50,6 @@ def test_stability_compares_even_and_odd_images_of_growing_numbers() -> None:
     assert stability([looked([2, 2], [2, 2])])["a"] == [{"images": 2, "correlation": None}]
 
 
-@settings(deadline=None)
 @given(st.lists(st.tuples(st.integers(0, 5), st.integers(0, 5)), min_size=2))
 def test_rank_correlation_is_spearmans(pairs: list[tuple[int, int]]) -> None:
     a, b = np.array(pairs, dtype=float).T

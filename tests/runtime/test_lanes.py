@@ -62,7 +62,7 @@ def test_threads_are_shared_out_evenly_and_answers_stay_in_order(threads: int, t
 
 
 def test_lanes_run_at_once() -> None:
-    meeting = threading.Barrier(2, timeout=30)
+    meeting = threading.Barrier(2, timeout=300)
 
     def search(crop: Any, kernels: Any) -> tuple[Any, Any]:
         meeting.wait()  # never passed by one alone

@@ -14,8 +14,9 @@ import pytest
 
 from psiamfcpp.geometry import centre_error
 from psiamfcpp.serve.control import Control
+from psiamfcpp.serve.follower import Follower
 
-from .conftest import BLOB, HEIGHT, WIDTH, Stream, ask, live, served, state, until
+from .conftest import BLOB, HEIGHT, TIMEOUT_S, WIDTH, Stream, ask, browse, later, live, served, state, until
 
 
 def test_a_target_is_started_followed_and_stopped_by_rest(http: httpx.Client, stream: Stream) -> None:
@@ -44,9 +45,9 @@ def test_a_point_becomes_a_box(http: httpx.Client) -> None:
     assert http.post("/api/targets", json={"point": [118, 94]}).json()["box"] == pytest.approx(BLOB, abs=3)
 
 
-def test_several_targets_and_the_chosen_one(http: httpx.Client, stream: Stream) -> None:
+def test_several_targets_and_the_chosen_one(http: httpx.Client, stream: Stream, follower: Follower) -> None:
     stream.blobs = [BLOB, (520, 380, 30, 40)]
-    time.sleep(0.1)
+    later(follower)
     for box in stream.blobs:
         assert http.post("/api/targets", json={"box": box}).status_code == 201
     assert http.put("/api/selected", json={"id": 1}).json() == {"ok": True}
@@ -88,7 +89,7 @@ def test_pictures_come_when_asked_for_with_the_state_of_their_frame(address: str
         pictures, states, text = [], [], {}
         end = time.monotonic() + 1
         while time.monotonic() < end or not pictures:
-            message = socket.recv(timeout=30)
+            message = socket.recv(timeout=TIMEOUT_S)
             if isinstance(message, bytes):
                 assert text["jpeg"]
                 pictures.append(message)
@@ -122,9 +123,9 @@ def test_pictures_for_other_programs(http: httpx.Client) -> None:
 def test_a_silent_stream_is_told_and_so_is_its_return(
     address: str, stream: Stream, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("psiamfcpp.serve.status._SILENT_S", 0.2)
+    monkeypatch.setattr("psiamfcpp.serve.status._SILENT_S", 0.5)
     with live(address) as socket:
-        assert state(socket)["source"]["state"] == "playing"
+        until(lambda: state(socket)["source"]["state"] == "playing")
         stream.silent = True
         until(lambda: state(socket)["source"]["state"] == "silent")
         stream.silent = False
@@ -132,7 +133,7 @@ def test_a_silent_stream_is_told_and_so_is_its_return(
 
 
 def test_bearings_are_told_where_the_field_of_view_is_known(control: Control) -> None:
-    with served(control, fov=60.0) as address, httpx.Client(base_url=f"http://{address}") as http:
+    with served(control, fov=60.0) as address, browse(address) as http:
         http.post("/api/targets", json={"box": BLOB})
         (target,) = until(lambda: http.get("/api/state").json()["targets"])
         assert target["bearing"]["azimuth_deg"] < -15

@@ -12,13 +12,12 @@ import threading
 from collections.abc import Iterator
 from typing import Any
 
-import httpx
 import pytest
 
 from psiamfcpp.serve.control import Control
 from psiamfcpp.serve.gate import Gate, Listener
 
-from .conftest import TOKEN, live, served, state, until
+from .conftest import TIMEOUT_S, TOKEN, Clock, browse, live, served, state, until
 
 KNOWN = {"Authorization": f"Bearer {TOKEN}"}
 
@@ -40,14 +39,6 @@ class Connection:
 
     def close(self) -> None:
         self.open = False
-
-
-class Clock:
-    def __init__(self) -> None:
-        self.now = 0.0
-
-    def __call__(self) -> float:
-        return self.now
 
 
 @pytest.fixture
@@ -159,14 +150,14 @@ def test_a_crowd_keeps_nobody_out(
         host, port = address.split(":")
         with live(address, additional_headers=KNOWN) as watching:
             state(watching)
-            with httpx.Client(base_url=f"http://{address}", headers=KNOWN, timeout=30) as http:
+            with browse(address, headers=KNOWN) as http:
                 for number in range(120):
                     crowd.append(socket.create_connection((host, int(port))))
                     crowd[-1].sendall(begun)
                     if number % 10 == 0:
                         assert http.get("/api/state").status_code == 200
                         # and a connection of its own for it
-                        once = http_client.HTTPConnection(host, int(port), timeout=30)
+                        once = http_client.HTTPConnection(host, int(port), timeout=TIMEOUT_S)
                         once.request("GET", "/api/state", headers=KNOWN)
                         assert once.getresponse().status == 200
                         once.close()
@@ -181,7 +172,7 @@ def test_a_body_that_comes_byte_by_byte_has_as_long_as_any(
     monkeypatch.setattr("psiamfcpp.serve.guard._BODY_S", 0.5)
     with served(control, token=TOKEN) as address:
         host, port = address.split(":")
-        slow = socket.create_connection((host, int(port)), timeout=30)
+        slow = socket.create_connection((host, int(port)), timeout=TIMEOUT_S)
         crowd.append(slow)
         slow.sendall(b"POST /api/login HTTP/1.1\r\nHost: x\r\nContent-Length: 16000\r\n\r\n")
         done = threading.Event()
@@ -226,7 +217,7 @@ def test_no_file_is_left_and_those_who_come_are_turned_away() -> None:
             for file in filled:
                 os.close(file)
             resource.setrlimit(resource.RLIMIT_NOFILE, before)
-        late.settimeout(10)
+        late.settimeout(TIMEOUT_S)
         with contextlib.suppress(ConnectionError):
             assert late.recv(1) == b""
         late.close()
@@ -268,7 +259,7 @@ def test_connections_wait_until_they_have_sent_a_head(gate: Gate) -> None:
         assert until(lambda: sum(gone(one) for one in silent) >= 25)
         late = [one for one in silent if not gone(one)]
         late[-1].sendall(b"a" * 20_000)
-        assert select.select([listener], [], [], 10)[0] == [listener]
+        assert select.select([listener], [], [], TIMEOUT_S)[0] == [listener]
         second, _ = until(lambda: accepted_now(listener))
         for one in (accepted, second, speaker, *silent):
             one.close()

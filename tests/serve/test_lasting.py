@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import socket
 import threading
@@ -15,7 +16,7 @@ from websockets.exceptions import ConnectionClosed
 from psiamfcpp.serve.control import Control
 from psiamfcpp.serve.follower import Follower
 
-from .conftest import HEIGHT, WIDTH, Stream, live, served, state, until
+from .conftest import HEIGHT, TIMEOUT_S, WIDTH, Stream, browse, live, served, state, until
 
 
 def test_those_who_connect_and_say_nothing_keep_nobody_out(control: Control, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -24,15 +25,17 @@ def test_those_who_connect_and_say_nothing_keep_nobody_out(control: Control, mon
         host, port = address.split(":")
         begun = b"GET /api/state HTTP/1.1\r\nHost: 127.0.0.1\r\n"
         sockets = [socket.create_connection((host, int(port))) for _ in range(70)]
-        with httpx.Client(base_url=f"http://{address}", timeout=30) as http:
+        with browse(address) as http:
             http.get("/api/state")
             for number, silent in enumerate(sockets):
-                silent.settimeout(30)
+                silent.settimeout(TIMEOUT_S)
                 # some begin a request, some have had one answered and begin the next
-                silent.sendall([b"", begun, begun + b"\r\n" + begun][number % 3])
+                with contextlib.suppress(ConnectionError):  # closed already, where the machine is slow
+                    silent.sendall([b"", begun, begun + b"\r\n" + begun][number % 3])
             for silent in sockets:
-                while silent.recv(4096):
-                    pass
+                with contextlib.suppress(ConnectionError):
+                    while silent.recv(4096):
+                        pass
                 silent.close()
             assert http.get("/api/state").status_code == 200
 
@@ -40,7 +43,7 @@ def test_those_who_connect_and_say_nothing_keep_nobody_out(control: Control, mon
 def test_a_body_that_does_not_come_is_not_waited_for(address: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("psiamfcpp.serve.guard._BODY_S", 0.2)
     host, port = address.split(":")
-    with socket.create_connection((host, int(port)), timeout=30) as slow:
+    with socket.create_connection((host, int(port)), timeout=TIMEOUT_S) as slow:
         slow.sendall(b"POST /api/targets HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Length: 30\r\n\r\n{")
         assert slow.recv(4096).startswith(b"HTTP/1.1 4")
 
@@ -53,7 +56,7 @@ def test_a_request_that_breaks_off_is_not_carried_out(address: str, http: httpx.
         assert http.get("/api/state").json()["operator"] == "none"
     time.sleep(0.2)
     assert http.get("/api/state").json()["operator"] == "none"
-    with socket.create_connection((host, int(port)), timeout=30) as complete:
+    with socket.create_connection((host, int(port)), timeout=TIMEOUT_S) as complete:
         complete.sendall(head + b"0\r\n\r\n")
         assert complete.recv(4096).startswith(b"HTTP/1.1 200")
     assert http.get("/api/state").json()["operator"] == "other"
@@ -63,8 +66,8 @@ def test_a_client_that_reads_slowly_reads_what_is_new(address: str, stream: Stre
     stream.fps = 200
     with live(address, max_queue=1) as slow:
         first = state(slow)["frame"]
-        reached = until(lambda: follower.newest and (n := follower.newest.number) >= first + 200 and n)
-        # were they kept for it, it would have to read 200 old states first
+        reached = until(lambda: follower.newest and (n := follower.newest.number) >= first + 100 and n)
+        # were they kept for it, it would have to read 100 old states first
         assert any(state(slow)["frame"] >= reached for _ in range(40))
         slow.close_timeout = 0.1
 
@@ -80,9 +83,9 @@ def test_clients_that_read_nothing_delay_nobody(address: str, stream: Stream) ->
                 socket.send(json.dumps({"type": "frame"}))
         time.sleep(1)
         with live(address) as quick:
-            first = state(quick)["frame"]
-            told = until(lambda: (s := state(quick))["frame"] >= first + 30 and s)
-            assert told["clients"] == 5
+            first = state(quick)
+            assert first["clients"] == 5
+            until(lambda: state(quick)["frame"] >= first["frame"] + 30)
     finally:
         for socket in slow:
             socket.close_timeout = 0.1
@@ -93,7 +96,7 @@ def test_connects_and_disconnects_leave_nothing(address: str, http: httpx.Client
     def once(number: int) -> None:
         socket = live(address)
         socket.send(json.dumps({"type": "frame"}))
-        socket.recv(timeout=30)
+        socket.recv(timeout=TIMEOUT_S)
         if number % 2:
             socket.socket.shutdown(2)  # without a word
         else:
@@ -126,7 +129,7 @@ def test_it_ends_while_clients_are_there(control: Control) -> None:
         stop = threading.Event()
 
         def watch() -> None:
-            with httpx.stream("GET", f"http://{address}/api/stream.mjpg", timeout=30) as answer:
+            with httpx.stream("GET", f"http://{address}/api/stream.mjpg", timeout=TIMEOUT_S) as answer:
                 try:
                     for _ in answer.iter_raw():
                         if stop.is_set():
@@ -139,8 +142,8 @@ def test_it_ends_while_clients_are_there(control: Control) -> None:
         until(lambda: state(socket)["clients"] == 2)
     # `served` waits for the server's end
     stop.set()
-    watcher.join(30)
+    watcher.join(TIMEOUT_S)
     assert not watcher.is_alive()
     with pytest.raises((ConnectionClosed, OSError)):
         while True:
-            socket.recv(timeout=30)
+            socket.recv(timeout=TIMEOUT_S)

@@ -4,13 +4,7 @@ from __future__ import annotations
 
 from psiamfcpp.serve.limits import Bucket, Buckets
 
-
-class Clock:
-    def __init__(self) -> None:
-        self.now = 100.0
-
-    def __call__(self) -> float:
-        return self.now
+from .conftest import Clock
 
 
 def test_a_bucket_allows_a_burst_and_then_its_rate() -> None:

@@ -8,16 +8,14 @@ import random
 import socket
 import threading
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
-from urllib.parse import quote
 
-import httpx
 import pytest
 from pymavlink import mavutil
 from pymavlink.dialects.v20 import common as mav
-from websockets.sync.client import connect
 
 import psiamfcpp.serve.control
 from psiamfcpp.errors import UserError
@@ -28,7 +26,7 @@ from psiamfcpp.serve.mavlink import Camera, open_link
 from psiamfcpp.serve.mavlink.link import UdpLink
 from psiamfcpp.serve.mavlink.reports import Reports
 
-from .conftest import BLOB, HEIGHT, WIDTH, Stream, ask, free_port, served, until
+from .conftest import BLOB, HEIGHT, TIMEOUT_S, WIDTH, Stream, ask, browse, free_port, later, live, served, until
 
 SYSTEM, CAMERA = 1, mav.MAV_COMP_ID_CAMERA
 # the blob as shares of the frame: left, top, right, bottom
@@ -47,7 +45,7 @@ class Station:
     def heartbeat(self) -> None:
         self.link.mav.heartbeat_send(mav.MAV_TYPE_GCS, mav.MAV_AUTOPILOT_INVALID, 0, 0, mav.MAV_STATE_ACTIVE)
 
-    def wait(self, kind: str, seconds: float = 60.0, **fields: Any) -> Any:
+    def wait(self, kind: str, seconds: float = TIMEOUT_S, **fields: Any) -> Any:
         """The next message of a kind with the given fields, sent by the camera."""
         end = time.monotonic() + seconds
         while time.monotonic() < end:
@@ -121,9 +119,8 @@ def station(join: Callable[..., Station]) -> Station:
 
 
 def unharmed(follower: Follower, number: int = 1) -> None:
+    later(follower)
     assert follower.newest is not None
-    before = follower.newest.number
-    until(lambda: follower.newest and follower.newest.number > before + 2)
     assert follower.newest.tracks[number].state == "tracking"
     assert centre_error(follower.newest.tracks[number].box, BLOB) < 1
 
@@ -233,13 +230,12 @@ def test_a_rectangle_is_followed_and_its_status_streamed(station: Station, strea
 
 def test_the_stream_comes_at_the_rate_that_was_asked_for(station: Station) -> None:
     number = mav.MAVLINK_MSG_ID_CAMERA_TRACKING_IMAGE_STATUS
-    station.ask(mav.MAV_CMD_SET_MESSAGE_INTERVAL, number, 100_000)
-    station.wait("CAMERA_TRACKING_IMAGE_STATUS")
     start = time.monotonic()
-    for _ in range(10):
+    station.ask(mav.MAV_CMD_SET_MESSAGE_INTERVAL, number, 100_000)
+    for _ in range(11):
         station.wait("CAMERA_TRACKING_IMAGE_STATUS")
     # never more often (one per frame would take 0.2 s); how much less is a matter of the machine
-    assert time.monotonic() - start > 0.5
+    assert time.monotonic() - start >= 0.99
     assert station.ask(mav.MAV_CMD_GET_MESSAGE_INTERVAL, number) == mav.MAV_RESULT_ACCEPTED
     assert station.wait("MESSAGE_INTERVAL", message_id=number).interval_us == 100_000
     assert station.ask(mav.MAV_CMD_SET_MESSAGE_INTERVAL, number, -1) == mav.MAV_RESULT_ACCEPTED
@@ -362,7 +358,7 @@ def held(monkeypatch: pytest.MonkeyPatch) -> threading.Event:
     propose = psiamfcpp.serve.control.propose_box
 
     def slow(*args: Any) -> Any:
-        assert done.wait(30)
+        assert done.wait(TIMEOUT_S)
         return propose(*args)
 
     monkeypatch.setattr("psiamfcpp.serve.control.propose_box", slow)
@@ -439,6 +435,7 @@ def test_a_fault_in_a_command_or_a_message_is_told_and_leaves_the_rest(
     def broken(*_: Any) -> Any:
         raise RuntimeError("out of order")
 
+    monkeypatch.setattr("psiamfcpp.serve.mavlink.camera._REPORTED_AGAIN_S", 3600)
     monkeypatch.setattr(control, "start_at", broken)
     camera._makers[mav.MAVLINK_MSG_ID_CAMERA_SETTINGS] = broken
     assert station.ask(mav.MAV_CMD_CAMERA_TRACK_POINT, *TAP) == mav.MAV_RESULT_FAILED
@@ -481,33 +478,41 @@ def test_stations_with_the_same_numbers_are_two(join: Callable[..., Station], co
     second.wait("COMMAND_ACK", result=mav.MAV_RESULT_TEMPORARILY_REJECTED)
     # nor is a page that bears its name
     assert control.lease.holder is not None
-    with served(control) as address, httpx.Client(base_url=f"http://{address}") as http:
+    with served(control) as address, browse(address) as http:
         for name in (control.lease.holder, "mavlink 255/190", control.lease.holder.removeprefix("mavlink ")):
             assert http.delete("/api/targets", headers={"X-Client": name}).status_code == 409
-        with connect(f"ws://{address}/api/live?client={quote(control.lease.holder)}") as page:
+        with live(address, control.lease.holder) as page:
             assert not ask(page, type="stop")["ok"]
 
 
-@pytest.mark.slow
-def test_a_flood_of_one_station_costs_no_other_a_command(station: Station, port: int) -> None:
-    done = threading.Event()
+def test_a_flood_of_one_station_costs_no_other_a_command(
+    control: Control, port: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # for the link no time passes, so that nobody's share grows
+    link = UdpLink("127.0.0.1", port, listen=True, clock=lambda: 0.0)
+    heard: Counter[int] = Counter()
+    allowed = link._allowed
+
+    def counted(peer: Any) -> bool:
+        heard[peer[1]] += 1
+        return allowed(peer)
+
+    monkeypatch.setattr(link, "_allowed", counted)
     flood = bytes(mav.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3).pack(mav.MAVLink(None, 200, 190)))
-
-    def send() -> None:
-        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as foreign:
-            while not done.wait(0.01):
-                for _ in range(30):
-                    foreign.sendto(flood, ("127.0.0.1", port))
-
-    thread = threading.Thread(target=send)
-    thread.start()
-    try:
-        time.sleep(1.5)  # more than a second's worth
+    with Camera(control, link, SYSTEM), socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as foreign:
+        station = Station(port, listen=False)
+        assert station.ask(mav.MAV_CMD_REQUEST_MESSAGE, mav.MAVLINK_MSG_ID_CAMERA_SETTINGS) == 0
+        foreign.bind(("127.0.0.1", 0))
+        for sent in range(50, 3001, 50):
+            for _ in range(50):
+                foreign.sendto(flood, ("127.0.0.1", port))
+            until(lambda sent=sent: heard[foreign.getsockname()[1]] >= sent)
         for _ in range(8):
+            for _ in range(20):
+                foreign.sendto(flood, ("127.0.0.1", port))
             assert station.ask(mav.MAV_CMD_REQUEST_MESSAGE, mav.MAVLINK_MSG_ID_CAMERA_SETTINGS) == 0
-    finally:
-        done.set()
-        thread.join()
+        station.close()
+    link.close()
 
 
 def test_a_link_has_a_share_for_each_peer_and_room_for_who_commands() -> None:
@@ -539,7 +544,9 @@ def test_random_bytes_and_broken_packets_harm_nothing(station: Station, port: in
     whole = mav.MAVLink_command_long_message(1, 100, mav.MAV_CMD_CAMERA_STOP_TRACKING, 0, *[0.0] * 7)
     packet = bytes(whole.pack(mav.MAVLink(None, 255, 190)))
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as foreign:
-        for _ in range(400):
+        for number in range(400):
+            if number % 50 == 0:  # no more at once than the buffers of every system hold
+                assert station.ask(mav.MAV_CMD_REQUEST_MESSAGE, mav.MAVLINK_MSG_ID_CAMERA_SETTINGS) == 0
             data = bytearray(rng.choice((packet, bytes([0xFD]) + rng.randbytes(rng.randrange(300)), rng.randbytes(40))))
             if data == packet:
                 # one wrong bit anywhere but in what is not checked
@@ -565,10 +572,13 @@ def test_messages_of_other_dialects_and_kinds_are_ignored(station: Station, foll
 
 def test_a_flood_of_commands_starts_nothing_and_harms_nothing(station: Station, follower: Follower) -> None:
     follower.add(BLOB)
-    for _ in range(300):
-        station.command(mav.MAV_CMD_CAMERA_TRACK_RECTANGLE, 0.5, 0.5, 0.5001, 0.5001)
-    # how many are rejected unread depends on how fast the others are answered: see mavlink/test_commands.py
-    results = {station.wait("COMMAND_ACK").result for _ in range(40)}
+    results: set[int] = set()
+    # no more at once than the buffers of every system hold
+    for _ in range(6):
+        for _ in range(50):
+            station.command(mav.MAV_CMD_CAMERA_TRACK_RECTANGLE, 0.5, 0.5, 0.5001, 0.5001)
+        # how many are rejected unread depends on how fast the others are answered: see mavlink/test_commands.py
+        results |= {station.wait("COMMAND_ACK").result for _ in range(50)}
     assert results <= {mav.MAV_RESULT_TEMPORARILY_REJECTED, mav.MAV_RESULT_IN_PROGRESS, mav.MAV_RESULT_DENIED}
     unharmed(follower)
 
@@ -605,7 +615,7 @@ def test_a_serial_line_is_a_link_too(control: Control, follower: Follower) -> No
         for start in range(0, len(data), 7):
             os.write(main, data[start : start + 7])
         seen: dict[str, Any] = {}
-        end = time.monotonic() + 60
+        end = time.monotonic() + TIMEOUT_S
         while not {"HEARTBEAT", "COMMAND_ACK"} <= seen.keys() and time.monotonic() < end:
             seen |= {message.get_type(): message for message in reader.parse_buffer(os.read(main, 512)) or []}
         assert seen["COMMAND_ACK"].result == mav.MAV_RESULT_ACCEPTED

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import socket
 import threading
 from collections.abc import Callable, Iterator
 from typing import Any
@@ -12,7 +13,7 @@ from psiamfcpp.geometry import centre_error
 from psiamfcpp.serve.control import Control
 from psiamfcpp.serve.follower import Follower
 
-from .conftest import BLOB, HEIGHT, WIDTH, Stream, served, until
+from .conftest import BLOB, HEIGHT, TIMEOUT_S, WIDTH, Stream, free_port, served, until
 
 pytestmark = pytest.mark.slow
 LIVE = "#link[data-kind=good]"
@@ -26,7 +27,7 @@ def visit(browser: Any) -> Iterator[Callable[..., Any]]:
 
     def open_page(address: str, width: int = 1000, height: int = 700, touch: bool = False) -> Any:
         context = browser.new_context(viewport={"width": width, "height": height}, has_touch=touch)
-        context.set_default_timeout(60_000)
+        context.set_default_timeout(1000 * TIMEOUT_S)
         contexts.append(context)
         page = context.new_page()
         page.on("pageerror", lambda fault: faults.append(str(fault)))
@@ -114,7 +115,9 @@ def test_a_second_page_watches(visit: Callable[..., Any], address: str, follower
 
 
 def test_a_server_that_was_away_is_found_again(visit: Callable[..., Any], control: Control) -> None:
-    with served(control) as address:
+    # a port that no other program gets while nobody listens
+    port = free_port(socket.SOCK_STREAM)
+    with served(control, port) as address:
         page = visit(address)
         page.wait_for_selector(LIVE)
         draw(page)
@@ -125,7 +128,7 @@ def test_a_server_that_was_away_is_found_again(visit: Callable[..., Any], contro
     assert page.locator("aside button:enabled").count() == 0
     assert page.inner_text("#fps") == "\u2013"
     assert not page.is_visible("#hint")
-    with served(control, port=int(address.split(":")[1])):
+    with served(control, port):
         page.wait_for_selector(LIVE)
         page.wait_for_selector("#banner:visible", state="hidden")
         # and it is still in control

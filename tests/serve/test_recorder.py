@@ -5,25 +5,25 @@ from __future__ import annotations
 import csv
 import os
 import shutil
-import time
+import threading
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import cv2
-import httpx
 import numpy as np
 import pytest
 
 from psiamfcpp.errors import UserError
 from psiamfcpp.serve.control import Control
-from psiamfcpp.serve.follower import BusyError, Follower
-from psiamfcpp.serve.recorder import Recorder
+from psiamfcpp.serve.follower import BusyError, Follower, Shot
+from psiamfcpp.serve.recorder import _WAITING, Recorder, _Recording
 from psiamfcpp.trackers import TargetPool
 from psiamfcpp.video.boxes import COLUMNS
 from psiamfcpp.video.source import Image, open_source
 from psiamfcpp.video.writer import VideoWriter
 
-from .conftest import BLOB, HEIGHT, WIDTH, Stream, served, until
+from .conftest import BLOB, HEIGHT, TIMEOUT_S, WIDTH, Stream, browse, later, served, until
 
 pytest.importorskip("av")
 
@@ -55,9 +55,7 @@ def test_a_recording_has_its_video_and_its_boxes(recorder: Recorder, follower: F
     (folder,) = (tmp_path / "records").iterdir()
     # its files are there as soon as it runs
     assert (folder / "boxes.csv").read_text().startswith(",".join(COLUMNS) + "\n")
-    assert follower.newest is not None
-    first = follower.newest.number
-    until(lambda: follower.newest and follower.newest.number > first + 20)
+    until(lambda: len(frames_of(folder)) > 20)
     recorder.stop()
     assert sorted(path.name for path in folder.iterdir()) == ["boxes.csv", "video.mkv"]
     with open_source(folder / "video.mkv") as source:
@@ -91,30 +89,56 @@ def test_frames_are_on_disk_while_it_records(recorder: Recorder, follower: Follo
     assert recorder.on
 
 
-@pytest.mark.slow
-def test_an_encoder_that_is_too_slow_does_not_fall_behind(
-    recorder: Recorder, follower: Follower, stream: Stream, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def shot(number: int, seconds: float) -> Shot:
+    image = np.full((HEIGHT, WIDTH, 3), 10 * number, np.uint8)
+    return Shot(number, image, seconds, {}, None, 0.0)
+
+
+def test_an_encoder_that_is_too_slow_does_not_fall_behind(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    calls: list[Any] = []
+    write, hold = VideoWriter.write, VideoWriter.hold
+    monkeypatch.setattr(VideoWriter, "write", lambda self, image: (calls.append("write"), write(self, image)))
+    monkeypatch.setattr(VideoWriter, "hold", lambda self, count: (calls.append(count), hold(self, count)))
+    with _Recording(tmp_path, 50.0, shot(1, 7.0)) as recording:
+        recording.write(shot(1, 7.0), behind=False)
+        # others wait: the frame before is shown for longer, which costs nothing
+        recording.write(shot(2, 8.0), behind=True)
+        assert calls == ["write", 49, "write"]
+        recording.write(shot(3, 8.1), behind=False)
+        assert calls[3:] == ["write"] * 5
+    video = cv2.VideoCapture(str(tmp_path / "video.mkv"))
+    times = []
+    while video.read()[0]:
+        times.append(video.get(cv2.CAP_PROP_POS_MSEC))
+    assert len(times) == 7
+    assert times[-1] - times[0] == pytest.approx(1100, abs=2)
+
+
+def test_frames_for_which_the_encoder_has_no_time_are_left_out(
+    recorder: Recorder, follower: Follower, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    write = VideoWriter.write
+    may_go_on, write = threading.Event(), VideoWriter.write
 
     def slow(self: VideoWriter, image: Image) -> None:
-        time.sleep(0.1)  # five frames of the stream
+        assert may_go_on.wait(TIMEOUT_S)
         write(self, image)
 
+    follower.add(BLOB)
     monkeypatch.setattr(VideoWriter, "write", slow)
     recorder.start()
+    later(follower, 30)
+    may_go_on.set()
     (folder,) = (tmp_path / "records").iterdir()
-    assert follower.newest is not None
-    first, start = follower.newest.number, follower.newest.read_at
-    until(lambda: follower.newest and follower.newest.number > first + 150)
-    seconds = follower.newest.read_at - start
+    first = frames_of(folder)[0]
+    until(lambda: frames_of(folder)[-1] > first + 30)
     recorder.stop()
-    video = cv2.VideoCapture(str(folder / "video.mkv"))
-    last = 0.0
-    while video.read()[0]:
-        last = video.get(cv2.CAP_PROP_POS_MSEC) / 1000
-    # four frames may wait; before, it was a third of the time and more
-    assert seconds - 1.0 < last < seconds + 1.0
+    # a few waited; the encoder went on with what was new
+    assert sum(first <= number <= first + 28 for number in frames_of(folder)) <= 1 + _WAITING
+
+
+def frames_of(folder: Path) -> list[int]:
+    """Numbers of the frames that have a row."""
+    return [int(line.split(",")[1]) for line in (folder / "boxes.csv").read_text().splitlines()[1:]] or [0]
 
 
 def test_what_is_recorded_is_synced_to_the_disk(
@@ -156,7 +180,7 @@ def test_a_full_disk_keeps_what_was_recorded(
 
 def test_a_folder_that_is_gone_is_answered(follower: Follower, recorder: Recorder, tmp_path: Path) -> None:
     (tmp_path / "records").rmdir()
-    with served(Control(follower, recorder)) as address, httpx.Client(base_url=f"http://{address}") as http:
+    with served(Control(follower, recorder)) as address, browse(address) as http:
         answer = http.post("/api/recording")
         assert answer.status_code == 422
         assert "cannot be written: No such file" in answer.json()["error"]

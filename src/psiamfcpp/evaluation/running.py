@@ -162,7 +162,7 @@ def _workers(address: str) -> Iterator[None]:
     except ModuleNotFoundError:
         raise UserError("a Dask cluster needs Dask: pip install 'dask[distributed]'") from None
     try:
-        client = Client(address, timeout="10s")
+        client = Client(address, timeout="60s")
     except (OSError, ValueError) as error:
         raise UserError(f"no Dask scheduler answers at {address} ({error}): give tcp://host:port") from None
     with client, parallel_config(backend="dask"):

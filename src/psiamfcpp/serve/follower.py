@@ -9,6 +9,7 @@ from collections import deque
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future, wait
 from dataclasses import dataclass
+from functools import partial
 from typing import TypeVar
 
 import numpy as np
@@ -23,6 +24,8 @@ MAX_TARGETS = 8
 _MAX_WAITING = 16
 _ANSWER_S = 10.0
 T = TypeVar("T")
+# Done in the tracker's thread; what it returns answers whoever asked, once the newest shot shows what was done.
+_Command = Callable[[], Callable[[], None] | None]
 
 
 @dataclass(frozen=True)
@@ -80,7 +83,7 @@ class Follower:
         self._changed = threading.Condition()
         self._stop = threading.Event()
         self._incoming: tuple[Image, float] | None = None
-        self._commands: deque[Callable[[], None]] = deque()
+        self._commands: deque[_Command] = deque()
         self._tracks: dict[int, Track] = {}
         self._selected: int | None = None
         self._events: deque[Event] = deque(maxlen=200)
@@ -213,7 +216,7 @@ class Follower:
             self.tell("all targets were stopped")
 
     def _in_tracker(self, work: Callable[[], T]) -> T:
-        """Run ``work`` in the tracker's thread, between two frames, and return its result.
+        """Run ``work`` in the tracker's thread, between two frames, and return its result once `newest` shows it.
 
         Raises:
             BusyError: too much is waiting, or no answer came in time; then the work is not done later either,
@@ -221,13 +224,14 @@ class Follower:
         """
         future: Future[T] = Future()
 
-        def run() -> None:
+        def run() -> Callable[[], None] | None:
             if not future.set_running_or_notify_cancel():
-                return
+                return None
             try:
-                future.set_result(work())
+                result = work()
             except BaseException as error:  # belongs to the one who asked
-                future.set_exception(error)
+                return partial(future.set_exception, error)
+            return partial(future.set_result, result)
 
         with self._changed:
             if self._stop.is_set() or self.failure is not None:
@@ -253,8 +257,11 @@ class Follower:
                 incoming, self._incoming = self._incoming, None
                 commands = list(self._commands)
                 self._commands.clear()
-            for command in commands:
-                command()
+            answers = [command() for command in commands]
+            if commands and self.newest is not None:
+                self._publish(self.newest.image, self.newest.read_at, self.newest.tracker_s, new=False)
+            for answer in filter(None, answers):
+                answer()
             if incoming is not None:
                 image, read_at = incoming
                 start = time.perf_counter()
@@ -264,8 +271,6 @@ class Follower:
                 if last_at:
                     self._intervals.append(now - last_at)
                 last_at = now
-            elif self.newest is not None:
-                self._publish(self.newest.image, self.newest.read_at, self.newest.tracker_s, new=False)
 
     def _update(self, image: Image) -> None:
         before, self._tracks = self._tracks, self._pool.update(image)

@@ -13,7 +13,7 @@ from pymavlink.dialects.v20 import common as mav
 
 from psiamfcpp.serve.mavlink.commands import Commands
 
-TIMEOUT_S = 60.0
+TIMEOUT_S = 300.0
 
 
 class Worker:

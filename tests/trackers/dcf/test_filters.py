@@ -153,7 +153,7 @@ def test_odd_targets_and_frames_give_finite_boxes(name, size, box):
     box=st.tuples(st.floats(1, 90), st.floats(1, 90)),
     seed=st.integers(0, 99),
 )
-@settings(max_examples=6, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=6, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
 def test_no_size_and_no_place_raises(name, size, centre, box, seed):
     (height, width), (w, h) = size, box
     start = (centre[0] * (width - 1) - (w - 1) / 2, centre[1] * (height - 1) - (h - 1) / 2, w, h)

@@ -40,7 +40,7 @@ def main() -> None:
     server = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
     assert server.stdin is not None and server.stdout is not None
     streams = (server.stdin.fileno(), server.stdout.fileno())
-    client = trax.client.Client(stream=streams, timeout=30, log="/dev/null")
+    client = trax.client.Client(stream=streams, timeout=300, log="/dev/null")
     found: dict[str, Any] = {"name": client.tracker_name, "images": client.image_formats, "targets": []}
     for box in BOXES:
         region = trax.region.Rectangle.create(*box)
@@ -49,7 +49,7 @@ def main() -> None:
         states = [objects[0] for objects, _ in replies]
         found["targets"].append([[list(region.bounds()), properties] for region, properties in states])
     client.quit()
-    found["status"] = server.wait(30)
+    found["status"] = server.wait(300)
     print(json.dumps(found))
 
 

@@ -192,14 +192,14 @@ def test_speaks_over_the_port_that_the_client_names() -> None:
             [sys.executable, "-c", PIXEL_SERVER], env={**os.environ, "TRAX_SOCKET": port}, stdin=subprocess.DEVNULL
         )
         try:
-            listener.settimeout(60)
+            listener.settimeout(300)
             connection, _ = listener.accept()
             with connection, connection.makefile("rwb", buffering=0) as stream:
                 hello = split_message(stream.readline())
                 assert hello is not None and hello.properties["trax.name"] == "pixel"
                 stream.write(join_message("quit"))
                 assert stream.readline() == b""
-            assert server.wait(30) == 0
+            assert server.wait(300) == 0
         finally:
             server.kill()
 
@@ -236,7 +236,7 @@ def test_urls_are_fetched(frame_files: list[Path]) -> None:
 def test_the_reference_client_is_served(frame_files: list[Path], kind: str) -> None:
     pytest.importorskip("trax", reason="vot-trax, the independent TraX client, is not installed")
     command = [sys.executable, str(REFERENCE), kind, *map(str, frame_files), "--", sys.executable, "-c", PIXEL_SERVER]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=120)
+    done = subprocess.run(command, capture_output=True, text=True, timeout=900)
     assert done.returncode == 0, done.stderr
     found = json.loads(done.stdout)
     assert (found["name"], found["status"]) == ("pixel", 0)

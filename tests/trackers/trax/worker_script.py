@@ -51,6 +51,11 @@ def hello():
 def answer(count, region):
     x, y, w, h = region
     state = f"@@TRAX:state {x + count},{y},{w},{h}"
+    if count == 1 and MODE == "hangs":
+        # before an answer, so that it has arrived when the next one is given up
+        print("still thinking", file=sys.stderr, flush=True)
+    if count == 1 and MODE == "endless-lines":
+        say("chatter\nchatter")
     if count < 2:
         return say(state)
     if MODE == "dies":
@@ -59,7 +64,6 @@ def answer(count, region):
     if MODE == "killed":
         os.kill(os.getpid(), signal.SIGSEGV)
     if MODE == "hangs":
-        print("still thinking", file=sys.stderr)
         time.sleep(3600)
     if MODE == "hangs-deaf":
         signal.signal(signal.SIGTERM, signal.SIG_IGN)
