@@ -5,6 +5,7 @@ MobileNetV2 to stride 16, pixel-wise correlation with squeeze-and-excitation, an
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 
 from psiamfcpp.models.arch import PIXELS, Architecture, Layer
@@ -105,4 +106,6 @@ ARCHITECTURE = Architecture(
     search_size=256,
     sizes=(256,),
     stride=16,
+    context=lambda width, height: 2 * math.sqrt(width * height),
+    edge=0.0,
 )

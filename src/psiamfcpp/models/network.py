@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import torch
@@ -17,9 +17,16 @@ from psiamfcpp.spec import STRIDE, ModelSpec, first_cell
 Kernels = tuple[Tensor, Tensor]
 Maps = tuple[Tensor, Tensor, Tensor]
 
+# What may follow a convolution in place of ReLU, by the name that the tables give it.
+_ACTIVATIONS: Mapping[str, Callable[[Tensor], Tensor]] = {
+    "relu6": F.relu6,
+    "gelu": F.gelu,
+    "sigmoid": torch.sigmoid,
+}
+
 
 class ConvBlock(nn.Module):
-    """Convolution with bias, then BatchNorm and ReLU where the design has them."""
+    """Convolution with bias, then BatchNorm and an activation where the design has them."""
 
     def __init__(
         self,
@@ -31,11 +38,13 @@ class ConvBlock(nn.Module):
         relu: bool = True,
         padding: int = 0,
         groups: int = 1,
+        activation: str | None = None,
     ):
         super().__init__()
         self.conv = nn.Conv2d(inputs, outputs, kernel, stride, padding, groups=groups)
         self.bn = nn.BatchNorm2d(outputs) if bn else None
         self.relu = relu
+        self.activation = activation
 
     def forward(self, x: Tensor) -> Tensor:
         """Map ``(B, inputs, H, W)`` to ``(B, outputs, H', W')``."""
@@ -47,7 +56,9 @@ class ConvBlock(nn.Module):
             # Frozen, BatchNorm is a part of the convolution: that saves a pass over what can be very large maps.
             conv = self.conv
             x = F.conv2d(x, *self._folded(self.bn), conv.stride, conv.padding, groups=conv.groups)
-        return F.relu(x, inplace=True) if self.relu else x
+        if self.relu:
+            return F.relu(x, inplace=True)
+        return _ACTIVATIONS[self.activation](x) if self.activation else x
 
     def _folded(self, bn: nn.BatchNorm2d) -> tuple[Tensor, Tensor | None]:
         conv, mean, var = self.conv, bn.running_mean, bn.running_var
@@ -66,8 +77,8 @@ class Part(nn.Module):
                 continue
             inputs, outputs = (spec.arch.width(name, spec.widths) for name in (row.reads[0], row.name))
             groups = inputs if row.operation == "depthwise" else 1
-            block = ConvBlock(inputs, outputs, row.kernel, row.stride, row.bn, row.relu, row.padding, groups)
-            self.add_module(row.child, block)
+            how = row.kernel, row.stride, row.bn, row.relu, row.padding, groups, row.activation
+            self.add_module(row.child, ConvBlock(inputs, outputs, *how))
 
     def walk(self, maps: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """Run all layers; what they read from outside the part is given by name."""

@@ -7,18 +7,15 @@ from collections.abc import Callable, Iterable, Mapping
 from typing import Any, TypeVar
 
 import torch
-import torch.nn.functional as F
 from torch import Tensor, nn
 
 from psiamfcpp.errors import UserError
 from psiamfcpp.pruning.groups import Group, find_groups
 from psiamfcpp.pruning.planning import Plan
+from psiamfcpp.pruning.reading import RIDGE, calls_of, layers_of, rows_of, run
 from psiamfcpp.pruning.surgery import cut
 
 Network = TypeVar("Network", bound=nn.Module)
-
-# Against the mean square of a layer's inputs: how strongly weights are held to what they were.
-_RIDGE = 1e-3
 
 
 class _PassedError(Exception):
@@ -57,9 +54,9 @@ def refit(
     # Blocks may fold a frozen BatchNorm into the convolution, whose own outputs would then not be seen.
     now, before = (copy.deepcopy(model).eval().requires_grad_(True) for model in (pruned, original))
     kept = _kept_filters(before, batches[0], plan, groups)
-    if {name: len(layer.weight) for name, layer in _layers(now)} != {name: len(kept[name]) for name in kept}:
+    if {name: len(layer.weight) for name, layer in layers_of(now)} != {name: len(kept[name]) for name in kept}:
         raise UserError("the pruned network is not what the plan makes of the original: their widths differ")
-    calls = _calls(now, batches[0])
+    calls = calls_of(now, batches[0])
     for name in watch(list(calls)):
         _fit(now, before, name, kept[name], batches, calls[name])
     result = copy.deepcopy(pruned)
@@ -67,37 +64,16 @@ def refit(
     return result
 
 
-def _layers(model: nn.Module) -> list[tuple[str, nn.Conv2d | nn.Linear]]:
-    """What can be fitted."""
-    return [(name, module) for name, module in model.named_modules() if isinstance(module, (nn.Conv2d, nn.Linear))]
-
-
 def _kept_filters(
     original: nn.Module, example: Any, plan: Plan, groups: Mapping[str, Group] | None
 ) -> dict[str, Tensor]:
     """The numbers, in the original, of the filters that each layer keeps: pruned with it, as its weights."""
     marked = copy.deepcopy(original)
-    for _, layer in _layers(marked):
+    for _, layer in layers_of(marked):
         layer.weight.transpose(0, -1).copy_(torch.arange(len(layer.weight)))
     # Without the check of `prune`: numbers instead of weights overflow.
     pruned, _ = cut(marked, example, plan, find_groups(marked, example) if groups is None else groups)
-    return {name: layer.weight.flatten(1)[:, 0].long() for name, layer in _layers(pruned)}
-
-
-def _calls(model: nn.Module, example: Any) -> dict[str, int]:
-    """How often a forward pass calls each layer, in the order of the first calls."""
-    calls: dict[str, int] = {}
-
-    def called(name: str) -> None:
-        calls[name] = calls.get(name, 0) + 1
-
-    hooks = [layer.register_forward_hook(lambda *_, name=name: called(name)) for name, layer in _layers(model)]
-    try:
-        _run(model, example)
-    finally:
-        for hook in hooks:
-            hook.remove()
-    return calls
+    return {name: layer.weight.flatten(1)[:, 0].long() for name, layer in layers_of(pruned)}
 
 
 def _fit(now: nn.Module, before: nn.Module, name: str, kept: Tensor, batches: list[Any], calls: int) -> None:
@@ -112,29 +88,17 @@ def _fit(now: nn.Module, before: nn.Module, name: str, kept: Tensor, batches: li
         if number == 0 and all(torch.allclose(o, t, rtol=1e-4, atol=1e-4 * float(t.std())) for _, o, t in pairs):
             return  # nothing is lost so far: a layer before the first that was cut, or that one
         for x, output, target in pairs:
-            rows = _rows(layer, x)
+            rows = rows_of(layer, x)
             error = (target - output).reshape(groups, len(output) // groups, -1)
             square = square + (rows @ rows.mT).double()
             product = product + (rows @ error.mT).double()
-    held = _RIDGE * square.diagonal(dim1=1, dim2=2).mean().clamp(min=1e-12)
+    held = RIDGE * square.diagonal(dim1=1, dim2=2).mean().clamp(min=1e-12)
     square.diagonal(dim1=1, dim2=2).add_(held)
     change = torch.linalg.solve(square, product).mT.reshape(len(layer.weight), -1).to(layer.weight.dtype)
     if layer.bias is not None:
         layer.bias += change[:, -1]
         change = change[:, :-1]
     layer.weight += change.reshape(layer.weight.shape)
-
-
-def _rows(layer: nn.Conv2d | nn.Linear, x: Tensor) -> Tensor:
-    """What the weights of a filter are multiplied by: ``(groups, weights, positions)``, with ones for the bias."""
-    if isinstance(layer, nn.Conv2d):
-        mode = "constant" if layer.padding_mode == "zeros" else layer.padding_mode
-        x = F.pad(x, layer._reversed_padding_repeated_twice, mode)
-        x = F.unfold(x, layer.kernel_size, layer.dilation, 0, layer.stride).transpose(0, 1)
-        rows = x.reshape(layer.groups, len(x) // layer.groups, -1)
-    else:
-        rows = x.reshape(1, -1, layer.in_features).mT
-    return F.pad(rows, (0, 0, 0, 1), value=1.0) if layer.bias is not None else rows
 
 
 def _passes(model: nn.Module, layer: nn.Module, batch: Any, calls: int) -> list[tuple[Tensor, Tensor]]:
@@ -149,13 +113,9 @@ def _passes(model: nn.Module, layer: nn.Module, batch: Any, calls: int) -> list[
 
     hook = layer.register_forward_hook(seen)
     try:
-        _run(model, batch)
+        run(model, batch)
     except _PassedError:
         pass
     finally:
         hook.remove()
     return found
-
-
-def _run(model: nn.Module, batch: Any) -> None:
-    model(*batch) if isinstance(batch, (tuple, list)) else model(batch)

@@ -45,6 +45,8 @@ class GroupRanks:
     """grouped convolutions part the filters in so many blocks, which must keep the same positions"""
     views: Mapping[str, View] = field(default_factory=dict)
     """the ranks by kind of crop, where there are several"""
+    errors: bool = False
+    """whether each number is the error reached with the filter gone and all with lower ones, alike in all groups"""
 
     @property
     def dead(self) -> int:
@@ -53,7 +55,9 @@ class GroupRanks:
 
     @property
     def flat(self) -> bool:
-        """Whether the living filters' ranks are so alike that their order means nothing."""
+        """Whether the living filters' ranks are so alike that their order means nothing; errors never are."""
+        if self.errors:
+            return False
         alive = self.rank[self.rank > 0]
         if not len(alive):
             return True

@@ -1,0 +1,170 @@
+"""What it costs to remove channels, when the layers that read them are fitted anew by least squares.
+
+A layer puts out ``W x`` for inputs ``x`` with second moments ``H = mean(x x')``. Fitted without the inputs ``S``, it
+comes at best within ``tr(W_S (inv(H)_SS)^-1 W_S')`` of that, in the mean square, by ``W - W_S (inv(H)_SS)^-1 inv(H)_S``;
+what is left of ``inv(H)`` is ``inv(H) - inv(H)_:S (inv(H)_SS)^-1 inv(H)_S:``. (Optimal Brain Surgeon, Hassibi and Stork
+1993, which is exact for the square error of one layer; for groups of inputs Kurtic et al. 2023, ZipLM, equations 2 to 4.)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+
+from psiamfcpp.errors import UserError
+from psiamfcpp.pruning.reading import RIDGE, Layer, rows_of, run
+
+# Positions of each map that moments are taken over: neighbours say much the same.
+_POSITIONS = 256
+
+
+@dataclass
+class Fit:
+    """A least-squares fit from which inputs are removed one unit after the other."""
+
+    inverse: Tensor
+    """``(K, K)``: inverse of the second moments, inputs scaled to a mean square of 1"""
+    weight: Tensor
+    """``(K, outputs)``: the best weights for what is left"""
+    units: list[Tensor]
+    """for each unit, the inputs that go with it; none for one that the layer does not read"""
+
+    @classmethod
+    def of(cls, square: Tensor, weight: Tensor, units: list[Tensor]) -> Fit:
+        """Return the fit of a layer that reads everything.
+
+        Args:
+            square: ``(K, K)`` second moments of the inputs.
+            weight: ``(outputs, K)``, divided by what errors are to be measured against.
+            units: for each unit, the inputs that go with it.
+        """
+        scale = square.diagonal().clamp(min=0).sqrt()
+        # An input that is always 0 costs nothing, whatever its weight.
+        inner = torch.where(scale > 0, 1 / scale, torch.zeros_like(scale))
+        correlation = square * inner * inner[:, None]
+        correlation.diagonal().copy_(torch.full_like(scale, 1 + RIDGE))
+        return cls(torch.cholesky_inverse(torch.linalg.cholesky(correlation)), (weight * scale).mT.clone(), units)
+
+    def costs(self, left: Sequence[int]) -> Tensor:
+        """Return what the removal of each of the units left would add to the error, ``(len(left),)``."""
+        found = torch.zeros(len(left), dtype=self.weight.dtype)
+        sizes: dict[int, list[int]] = {}
+        for place, unit in enumerate(left):
+            sizes.setdefault(len(self.units[unit]), []).append(place)
+        for size, places in sizes.items():
+            if size:
+                inputs = torch.stack([self.units[left[place]] for place in places])
+                block = self.inverse[inputs[:, :, None], inputs[:, None, :]]
+                weight = self.weight[inputs]
+                found[places] = (weight * torch.linalg.solve(block, weight)).sum(dim=(1, 2))
+        return found
+
+    def remove(self, unit: int) -> None:
+        """Remove the inputs of a unit, and fit the weights of the others anew."""
+        inputs = self.units[unit]
+        if not len(inputs):
+            return
+        across = self.inverse[:, inputs]
+        share = torch.linalg.solve(self.inverse[inputs[:, None], inputs], across.mT)
+        self.weight -= share.mT @ self.weight[inputs]
+        self.inverse -= across @ share
+
+
+def eliminate(fits: list[Fit], units: int) -> Tensor:
+    """Remove all units greedily, each time the one that adds least to the sum of the fits' errors.
+
+    Returns:
+        ``(units,)``: the error reached with the removal of each unit, which rises in the order of removal.
+    """
+    reached, error = torch.zeros(units, dtype=torch.float64), 0.0
+    left = list(range(units))
+    while left:
+        costs = torch.stack([fit.costs(left) for fit in fits]).sum(dim=0).clamp(min=0)
+        cheapest = int(costs.argmin())
+        error += float(costs[cheapest])
+        unit = left.pop(cheapest)
+        reached[unit] = error
+        for fit in fits:
+            fit.remove(unit)
+    return reached
+
+
+@torch.no_grad()
+def fits_of(model: nn.Module, readers: dict[str, dict[int, int]], units: int, batches: list[Any]) -> list[Fit]:
+    """Return the fits of layers that read a group's filters; errors are shares of the variance of a layer's outputs.
+
+    Args:
+        model: the network, in evaluation mode.
+        readers: by name of a layer, the unit of each of its inputs that belongs to one.
+        units: number of units.
+        batches: what the network's forward takes.
+    """
+    layers = {name: _reader(model, name) for name in readers}
+    squares = _moments(model, layers, batches)
+    found = []
+    for name, layer in layers.items():
+        groups = layer.groups if isinstance(layer, nn.Conv2d) else 1
+        inputs = (layer.in_channels if isinstance(layer, nn.Conv2d) else layer.in_features) // groups
+        weights = layer.weight.double().reshape(groups, len(layer.weight) // groups, -1)
+        area = weights.shape[2] // inputs
+        variance = float(torch.einsum("gok,gkl,gol->", weights, squares[name], weights))
+        for group in range(groups):
+            own: list[list[int]] = [[] for _ in range(units)]
+            for channel, unit in readers[name].items():
+                if channel // inputs == group:
+                    first = channel % inputs * area
+                    own[unit] += range(first, first + area)
+            weight = weights[group] / max(variance, 1e-30) ** 0.5
+            found.append(Fit.of(squares[name][group], weight, [torch.tensor(columns).long() for columns in own]))
+    return found
+
+
+def _reader(model: nn.Module, name: str) -> Layer:
+    layer = model.get_submodule(name)
+    if not isinstance(layer, (nn.Conv2d, nn.Linear)):
+        raise UserError(f"{name} is a {type(layer).__name__}, which cannot be fitted: choose by another criterion")
+    return layer
+
+
+def _moments(model: nn.Module, layers: dict[str, Layer], batches: list[Any]) -> dict[str, Tensor]:
+    """Second moments ``(groups, K, K)`` of what layers read, about the mean for those with a bias.
+
+    Each call of a layer counts alike, however large its maps, so that a template counts as much as a search crop.
+    """
+    generator = torch.Generator().manual_seed(0)
+    sums: dict[str, Tensor] = {}
+    weights: dict[str, int] = {}
+
+    def seen(name: str, layer: Layer, x: Tensor) -> None:
+        rows = rows_of(layer, x)
+        share = min(1.0, _POSITIONS * len(x) / rows.shape[2])
+        chosen = torch.randperm(rows.shape[2], generator=generator)[: max(1, round(share * rows.shape[2]))]
+        rows = rows[:, :, chosen.to(rows.device)]
+        sums[name] = sums.get(name, 0) + (rows @ rows.mT).double().cpu() * (len(x) / rows.shape[2])
+        weights[name] = weights.get(name, 0) + len(x)
+
+    hooks = [
+        layer.register_forward_hook(lambda _m, inputs, _o, name=name, layer=layer: seen(name, layer, inputs[0]))
+        for name, layer in layers.items()
+    ]
+    try:
+        for batch in batches:
+            run(model, batch)
+    finally:
+        for hook in hooks:
+            hook.remove()
+    unseen = [name for name in layers if name not in sums]
+    if unseen:
+        raise UserError(f"no forward pass came through {', '.join(unseen)}: give other inputs")
+    means = {name: value / weights[name] for name, value in sums.items()}
+    return {name: _centred(value) if layers[name].bias is not None else value for name, value in means.items()}
+
+
+def _centred(square: Tensor) -> Tensor:
+    """Second moments about the mean, from those with a row of ones at the end."""
+    mean = square[:, -1:, :-1]
+    return square[:, :-1, :-1] - mean.mT @ mean
