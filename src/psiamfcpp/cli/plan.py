@@ -18,6 +18,7 @@ def plan(
     criterion: str = "rank",
     ranks: Path | None = None,
     data: tuple[str, ...] = (),
+    images: int = 100,
     held_out_every: HeldOut = 8,
     preset: Literal["paper"] | None = None,
     keep: tuple[str, ...] = (),
@@ -39,9 +40,12 @@ def plan(
 
     Args:
         source: table that `psiamfcpp rank` wrote, .json; or the model, to score its filters by another criterion.
-        criterion: rank, norm, median, taylor, random, or MODULE:FUNCTION, a function f(group, context) -> scores (n,).
+        criterion: rank, norm, median, taylor, random, refit, or MODULE:FUNCTION, a function
+            f(group, context) -> scores (n,).
         ranks: with a model: its rank table, for the criterion rank.
-        data: with a model: sets to run the training loss on, each LAYOUT:FOLDER, for the criterion taylor.
+        data: with a model: sets to run the training loss on, for the criterion taylor, or to draw crops from, for
+            refit; each LAYOUT:FOLDER.
+        images: with a model: pairs of crops for the criterion refit, drawn as by `psiamfcpp rank`.
         preset: the paper's shares.
         keep: GROUP=SHARE: share of the group's filters to KEEP; groups not named stay whole.
         remove: share of the filters to REMOVE from every group, those with flat scores apart.
@@ -61,7 +65,7 @@ def plan(
 
     check_outputs([output], [source, ranks])
     if not source.endswith(".json"):
-        table = score_model(source, criterion, ranks=ranks, data=data, held_out_every=held_out_every)
+        table = score_model(source, criterion, ranks=ranks, data=data, images=images, held_out_every=held_out_every)
     elif criterion != "rank" or ranks or data:
         raise UserError(
             f"{source} is a rank table, which needs no --criterion, --ranks or --data: give the model instead"

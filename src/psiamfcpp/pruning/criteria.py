@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import functools
 import importlib
 import sys
@@ -96,18 +97,11 @@ def refit(group: Group, context: Context) -> FloatArray:
     Filters that a grouped convolution ties are removed together.
     """
     if not context.batches:
-        raise UserError(
-            "the criterion refit looks at maps: give it batches (on the command line, --data LAYOUT:FOLDER)"
-        )
+        raise UserError("the criterion refit looks at maps: give --data LAYOUT:FOLDER (in Python, batches)")
     positions = group.width // group.parts
-    modes = {module: module.training for module in context.model.modules()}
-    try:
-        context.model.eval()
-        readers = _readers(group, context, positions)
-        fits = fits_of(context.model, readers, positions, list(context.batches))
-    finally:
-        for module, training in modes.items():
-            module.training = training
+    # Blocks may fold a frozen BatchNorm into the convolution, whose own inputs would then not be seen.
+    model = copy.deepcopy(context.model).eval().requires_grad_(True)
+    fits = fits_of(model, _readers(group, context, positions), positions, context.batches)
     reached: FloatArray = eliminate(fits, positions).numpy()
     return np.tile(reached, group.parts)
 

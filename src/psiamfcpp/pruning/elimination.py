@@ -1,14 +1,15 @@
 """What it costs to remove channels, when the layers that read them are fitted anew by least squares.
 
-A layer puts out ``W x`` for inputs ``x`` with second moments ``H = mean(x x')``. Fitted without the inputs ``S``, it
-comes at best within ``tr(W_S (inv(H)_SS)^-1 W_S')`` of that, in the mean square, by ``W - W_S (inv(H)_SS)^-1 inv(H)_S``;
-what is left of ``inv(H)`` is ``inv(H) - inv(H)_:S (inv(H)_SS)^-1 inv(H)_S:``. (Optimal Brain Surgeon, Hassibi and Stork
-1993, which is exact for the square error of one layer; for groups of inputs Kurtic et al. 2023, ZipLM, equations 2 to 4.)
+A layer puts out ``W x`` for inputs ``x`` with second moments ``H = mean(x x')``; let ``P`` be the inverse of ``H``.
+Without the inputs ``S`` the best fit is ``W - W_S inv(P_SS) P_S:``, and its mean square error ``tr(W_S inv(P_SS) W_S')``.
+Then ``P - P_:S inv(P_SS) P_S:`` is the inverse for what is left, and the next inputs can go. This is Optimal Brain Surgeon
+(Hassibi and Stork 1993), exact for the square error of one layer; for several inputs at once see Kurtic et al. 2023
+(ZipLM, section 3.1).
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -94,7 +95,7 @@ def eliminate(fits: list[Fit], units: int) -> Tensor:
 
 
 @torch.no_grad()
-def fits_of(model: nn.Module, readers: dict[str, dict[int, int]], units: int, batches: list[Any]) -> list[Fit]:
+def fits_of(model: nn.Module, readers: dict[str, dict[int, int]], units: int, batches: Iterable[Any]) -> list[Fit]:
     """Return the fits of layers that read a group's filters; errors are shares of the variance of a layer's outputs.
 
     Args:
@@ -130,7 +131,7 @@ def _reader(model: nn.Module, name: str) -> Layer:
     return layer
 
 
-def _moments(model: nn.Module, layers: dict[str, Layer], batches: list[Any]) -> dict[str, Tensor]:
+def _moments(model: nn.Module, layers: dict[str, Layer], batches: Iterable[Any]) -> dict[str, Tensor]:
     """Second moments ``(groups, K, K)`` of what layers read, about the mean for those with a bias.
 
     Each call of a layer counts alike, however large its maps, so that a template counts as much as a search crop.

@@ -181,8 +181,8 @@ def plan_for_budget(
 
     The loss is the sum over groups of the squared log of the share of its rank that a group keeps. A log, because each
     layer passes on what it was given and shares multiply; squared, because a layer cut to a sliver is a bottleneck that
-    no other can make good. Greedy: of all groups' next filters, those with the smallest ratio of loss to saved cost go
-    first.
+    no other can make good. Where the table holds errors, it is the sum of those that groups reach. Greedy: of all
+    groups' next filters, those with the smallest ratio of loss to saved cost go first.
 
     Args:
         table: the ranks.
@@ -222,6 +222,9 @@ def plan_for_budget(
 
 def _losses(group: GroupRanks) -> NDArray[np.float64]:
     """Loss ``(n + 1,)`` of keeping 0, 1, ... n filters of the highest ranks; of keeping none at all, infinite."""
+    if group.errors:
+        # Of n filters kept, the error is that of the best one to go.
+        return np.concatenate([[np.inf], np.sort(group.rank)[::-1][1:], [0.0]])
     kept = np.cumsum(np.sort(group.rank)[::-1])
     shares = kept / kept[-1] if kept[-1] else np.ones(len(kept))
     return np.concatenate([[np.inf], np.log(shares) ** 2])
