@@ -30,6 +30,7 @@ def plan(
     precision: Literal["int8", "fp32"] = "int8",
     threads: int | None = None,
     flat: bool = False,
+    multiple: int = 1,
     search_size: int | None = None,
     output: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None,
     json: Json = False,
@@ -56,6 +57,8 @@ def plan(
         precision: with --target-latency: what the graphs compute in.
         threads: with --target-latency: threads of the engine; by default as many as there are cores.
         flat: let `--remove` and the targets prune groups with flat scores too, by weight norm.
+        multiple: with a target: number whose multiples the widths of pruned groups are, as engines compute channels in
+            blocks.
         search_size: side of the search crop to count and to time at; that of the model by default.
         output: plan to write, .json.
     """
@@ -82,6 +85,7 @@ def plan(
             target_macs=target_macs,
             target_latency=target_latency,
             flat=flat,
+            multiple=multiple,
             search_size=search_size,
             timing=recipe.Timing(engine, precision, threads),
             watch=watch,

@@ -1,10 +1,10 @@
 """What it costs to remove channels, when the layers that read them are fitted anew by least squares.
 
 A layer puts out ``W x`` for inputs ``x`` with second moments ``H = mean(x x')``; let ``P`` be the inverse of ``H``.
-Without the inputs ``S`` the best fit is ``W - W_S inv(P_SS) P_S:``, and its mean square error ``tr(W_S inv(P_SS) W_S')``.
-Then ``P - P_:S inv(P_SS) P_S:`` is the inverse for what is left, and the next inputs can go. This is Optimal Brain Surgeon
-(Hassibi and Stork 1993), exact for the square error of one layer; for several inputs at once see Kurtic et al. 2023
-(ZipLM, section 3.1).
+Without the inputs ``S`` the best fit is ``W - W_S inv(P_SS) P_S:``, with a mean square error of
+``tr(W_S inv(P_SS) W_S')``. Then ``P - P_:S inv(P_SS) P_S:`` is the inverse for what is left, and the next inputs can
+go. This is Optimal Brain Surgeon (Hassibi and Stork 1993), exact for the square error of one layer; for several inputs
+at once see Kurtic et al. 2023 (ZipLM).
 """
 
 from __future__ import annotations
@@ -138,6 +138,7 @@ def _moments(model: nn.Module, layers: dict[str, Layer], batches: Iterable[Any])
     """
     generator = torch.Generator().manual_seed(0)
     sums: dict[str, Tensor] = {}
+    origins: dict[str, Tensor] = {}
     weights: dict[str, int] = {}
 
     def seen(name: str, layer: Layer, x: Tensor) -> None:
@@ -145,6 +146,12 @@ def _moments(model: nn.Module, layers: dict[str, Layer], batches: Iterable[Any])
         share = min(1.0, _POSITIONS * len(x) / rows.shape[2])
         chosen = torch.randperm(rows.shape[2], generator=generator)[: max(1, round(share * rows.shape[2]))]
         rows = rows[:, :, chosen.to(rows.device)]
+        if layer.bias is not None:
+            # About a point near the mean, since float32 would lose a small variance beside a large mean.
+            if name not in origins:
+                origins[name] = rows.mean(dim=2, keepdim=True)
+                origins[name][:, -1] = 0
+            rows = rows - origins[name]
         sums[name] = sums.get(name, 0) + (rows @ rows.mT).double().cpu() * (len(x) / rows.shape[2])
         weights[name] = weights.get(name, 0) + len(x)
 
@@ -162,10 +169,14 @@ def _moments(model: nn.Module, layers: dict[str, Layer], batches: Iterable[Any])
     if unseen:
         raise UserError(f"no forward pass came through {', '.join(unseen)}: give other inputs")
     means = {name: value / weights[name] for name, value in sums.items()}
-    return {name: _centred(value) if layers[name].bias is not None else value for name, value in means.items()}
+    return {name: _centred(value, origins[name]) if name in origins else value for name, value in means.items()}
 
 
-def _centred(square: Tensor) -> Tensor:
-    """Second moments about the mean, from those with a row of ones at the end."""
+def _centred(square: Tensor, origin: Tensor) -> Tensor:
+    """Second moments about the mean, from those about an origin with a row of ones at the end."""
     mean = square[:, -1:, :-1]
-    return square[:, :-1, :-1] - mean.mT @ mean
+    centred = square[:, :-1, :-1] - mean.mT @ mean
+    # What varies by no more than float32's rounding does not vary.
+    size = (mean + origin.cpu().double().mT[:, :, :-1]).square()
+    varies = (centred.diagonal(dim1=1, dim2=2)[:, None] > 1e-10 * size).double()
+    return centred * varies * varies.mT

@@ -175,7 +175,11 @@ def order(name: str, group: GroupRanks, count: int) -> NDArray[np.intp]:
 
 
 def plan_for_budget(
-    table: RankTable, cost: Callable[[Mapping[str, int]], float], budget: float, flat_too: bool = False
+    table: RankTable,
+    cost: Callable[[Mapping[str, int]], float],
+    budget: float,
+    flat_too: bool = False,
+    multiple: int = 1,
 ) -> Plan:
     """Lose as little rank as meets the budget.
 
@@ -189,6 +193,7 @@ def plan_for_budget(
         cost: of a network of given widths.
         budget: highest cost allowed, in the same unit.
         flat_too: prune groups with flat ranks as well, by weight norm; otherwise they stay whole.
+        multiple: number whose multiples the widths of pruned groups are.
 
     Raises:
         UserError: the budget cannot be met.
@@ -203,8 +208,8 @@ def plan_for_budget(
             # In steps of about one in fifty, so that a plan takes hundreds of looks at the cost and not thousands.
             parts = table.groups[name].parts
             step = max(1, table.widths[name] // (50 * parts)) * parts
-            left = widths[name] - step
-            if left < max(parts, 1):
+            left = (widths[name] - step) // (multiple * parts) * multiple * parts
+            if left < 1:
                 continue
             saved = current - cost({**widths, name: left})
             lost = float(losses[name][left] - losses[name][widths[name]])

@@ -18,6 +18,10 @@ from psiamfcpp.pruning.surgery import cut
 Network = TypeVar("Network", bound=nn.Module)
 
 
+# Positions that a layer is fitted at, over all batches: ten times what the widest layers have of weights a filter.
+_POSITIONS = 2**15
+
+
 class _PassedError(Exception):
     """A forward pass has come through the layer that is looked at: what follows is of no use."""
 
@@ -57,8 +61,10 @@ def refit(
     if {name: len(layer.weight) for name, layer in layers_of(now)} != {name: len(kept[name]) for name in kept}:
         raise UserError("the pruned network is not what the plan makes of the original: their widths differ")
     calls = calls_of(now, batches[0])
+    limit = -(-_POSITIONS // len(batches))
+    wanted = _targets(before, kept, batches, limit)
     for name in watch(list(calls)):
-        _fit(now, before, name, kept[name], batches, calls[name])
+        _fit(now, name, wanted.pop(name), batches, calls[name], limit)
     result = copy.deepcopy(pruned)
     result.load_state_dict(now.state_dict())
     return result
@@ -76,20 +82,58 @@ def _kept_filters(
     return {name: layer.weight.flatten(1)[:, 0].long() for name, layer in layers_of(pruned)}
 
 
-def _fit(now: nn.Module, before: nn.Module, name: str, kept: Tensor, batches: list[Any], calls: int) -> None:
+def _targets(before: nn.Module, kept: dict[str, Tensor], batches: list[Any], limit: int) -> dict[str, list[Tensor]]:
+    """What each layer is to put out at the chosen positions, ``(filters, positions)`` for each batch and call."""
+    found: dict[str, list[Tensor]] = {name: [] for name in kept}
+
+    def seen(name: str, layer: nn.Module, output: Tensor) -> None:
+        # a copy, since what comes next may write into it
+        found[name].append(_chosen(_flat(layer, output), limit)[kept[name]].clone())
+
+    hooks = [
+        layer.register_forward_hook(lambda m, _inputs, output, name=name: seen(name, m, output))
+        for name, layer in layers_of(before)
+    ]
+    try:
+        for batch in batches:
+            run(before, batch)
+    finally:
+        for hook in hooks:
+            hook.remove()
+    return found
+
+
+def _flat(layer: nn.Module, output: Tensor) -> Tensor:
+    """A layer's output as ``(filters, positions)``."""
+    return output.movedim(-1 if isinstance(layer, nn.Linear) else 1, 0).flatten(1)
+
+
+def _chosen(columns: Tensor, limit: int) -> Tensor:
+    """At most so many of the last axis, always the same of as many; neighbours say much the same."""
+    count = columns.shape[-1]
+    if count <= limit:
+        return columns
+    return columns[
+        ..., torch.randperm(count, generator=torch.Generator().manual_seed(count))[:limit].to(columns.device)
+    ]
+
+
+def _fit(now: nn.Module, name: str, wanted: list[Tensor], batches: list[Any], calls: int, limit: int) -> None:
     """Fit one layer, in place."""
-    layer, taught = now.get_submodule(name), before.get_submodule(name)
+    layer = now.get_submodule(name)
     assert isinstance(layer, (nn.Conv2d, nn.Linear))
     groups = layer.groups if isinstance(layer, nn.Conv2d) else 1
     square, product = torch.zeros((), dtype=torch.float64), torch.zeros((), dtype=torch.float64)
     for number, batch in enumerate(batches):
-        seen, wanted = _passes(now, layer, batch, calls), _passes(before, taught, batch, calls)
-        pairs = [(x, output, target[kept]) for (x, output), (_, target) in zip(seen, wanted, strict=True)]
+        targets = wanted[number * calls : (number + 1) * calls]
+        pairs = [
+            (_chosen(rows_of(layer, x), limit), _chosen(_flat(layer, output), limit), target)
+            for (x, output), target in zip(_passes(now, layer, batch, calls), targets, strict=True)
+        ]
         if number == 0 and all(torch.allclose(o, t, rtol=1e-4, atol=1e-4 * float(t.std())) for _, o, t in pairs):
             return  # nothing is lost so far: a layer before the first that was cut, or that one
-        for x, output, target in pairs:
-            rows = rows_of(layer, x)
-            error = (target - output).reshape(groups, len(output) // groups, -1)
+        for rows, output, target in pairs:
+            error = (target - output).reshape(groups, len(target) // groups, -1)
             square = square + (rows @ rows.mT).double()
             product = product + (rows @ error.mT).double()
     held = RIDGE * square.diagonal(dim1=1, dim2=2).mean().clamp(min=1e-12)
@@ -102,12 +146,12 @@ def _fit(now: nn.Module, before: nn.Module, name: str, kept: Tensor, batches: li
 
 
 def _passes(model: nn.Module, layer: nn.Module, batch: Any, calls: int) -> list[tuple[Tensor, Tensor]]:
-    """Inputs of a layer and its outputs, these with filters first, call by call."""
+    """Inputs of a layer and its outputs, call by call."""
     found: list[tuple[Tensor, Tensor]] = []
 
     def seen(_module: nn.Module, inputs: tuple[Tensor, ...], output: Tensor) -> None:
         # copies, since what comes next may write into them
-        found.append((inputs[0].clone(), output.movedim(-1 if isinstance(layer, nn.Linear) else 1, 0).clone()))
+        found.append((inputs[0].clone(), output.clone()))
         if len(found) == calls:
             raise _PassedError
 

@@ -150,6 +150,8 @@ def _group_to_json(group: GroupRanks) -> dict[str, Any]:
         row["norm"] = _plain(group.norm)
     if group.parts > 1:
         row["parts"] = group.parts
+    if group.errors:
+        row["errors"] = True
     return row
 
 
@@ -174,7 +176,7 @@ def _group_from_json(data: Any, name: str, path: Path) -> GroupRanks:
         for key, value in data.items()
         if isinstance(value, dict) and {"rank", "max"} <= value.keys()
     }
-    return GroupRanks(rank, top, norm, parts, views)
+    return GroupRanks(rank, top, norm, parts, views, data.get("errors") is True)
 
 
 def _numbers(values: Any, what: str, path: Path) -> NDArray[np.float64]:
