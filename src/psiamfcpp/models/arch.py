@@ -165,6 +165,8 @@ class Architecture:
     """module with ``layers(model)``, ``template_graph`` and ``search_graph``, see `psiamfcpp.export.graph`"""
     procedure: str
     """``module:NAME`` of how it is followed with, see `psiamfcpp.trackers.siamfcpp.procedure.Procedure`"""
+    objective: str
+    """``module:NAME`` of what it is trained to, see `psiamfcpp.training.objective.Objective`"""
     template_size: int
     """side of the template crop, pixels"""
     search_size: int

@@ -48,7 +48,11 @@ class LightFC(Network):
         Returns:
             One tensor ``(B, 96, 8, 8)``.
         """
-        return (self.features(z),)
+        return self.kernels(self.features(z))
+
+    def kernels(self, features: Tensor) -> Kernels:
+        """`template`, from the backbone's features on."""
+        return (features,)
 
     def features(self, x: Tensor) -> Tensor:
         """Features ``(B, 96, S / 16, S / 16)`` of crops ``(B, 3, S, S)``, BGR, float 0..255.

@@ -102,6 +102,7 @@ ARCHITECTURE = Architecture(
     network="psiamfcpp.models.lightfc:LightFC",
     exporter="psiamfcpp.export.lightfc",
     procedure="psiamfcpp.trackers.lightfc:PROCEDURE",
+    objective="psiamfcpp.training.lightfc:OBJECTIVE",
     template_size=128,
     search_size=256,
     sizes=(256,),

@@ -10,7 +10,6 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 from torch.nn.utils.fusion import fuse_conv_bn_weights
 
-from psiamfcpp.errors import UserError
 from psiamfcpp.models.arch import OPERATIONS, PIXELS, Layer, by_depth, walk
 from psiamfcpp.spec import STRIDE, ModelSpec, first_cell
 
@@ -129,9 +128,24 @@ class Head(Part):
 class Network(nn.Module):
     """What files, engines and graphs need of a network: `template` once for a target, `search` for every frame."""
 
+    backbone: Part
+    """what both crops go through"""
+
     def __init__(self, spec: ModelSpec):
         super().__init__()
         self.spec = spec
+
+    def features(self, x: Tensor) -> Tensor:
+        """Return the backbone's features ``(B, C, H, W)`` of crops ``(B, 3, S, S)``, BGR, float 0..255."""
+        raise NotImplementedError
+
+    def kernels(self, features: Tensor) -> Any:
+        """Return what `template` does, from the features on."""
+        raise NotImplementedError
+
+    def maps(self, features: Tensor, kernels: Any) -> Maps:
+        """Return what the losses look at, from the features of the search crops on."""
+        raise NotImplementedError
 
     def template(self, z: Tensor) -> tuple[Tensor, ...]:
         """Return what `search` needs of template crops ``(B, 3, Z, Z)``, BGR, float 0..255."""
@@ -164,7 +178,12 @@ class SiamFCpp(Network):
         Returns:
             ``cls_kernel`` and ``reg_kernel``, each ``(B, C, 4, 4)``.
         """
-        return self.kernels(self.backbone(z))
+        return self.kernels(self.features(z))
+
+    def features(self, x: Tensor) -> Tensor:
+        """Return the backbone's features of crops."""
+        found: Tensor = self.backbone(x)
+        return found
 
     def kernels(self, features: Tensor) -> Kernels:
         """`template`, from the backbone's features on."""
@@ -181,7 +200,7 @@ class SiamFCpp(Network):
             scores ``(B, N, N)``, 0..1: sigmoid(class) times sigmoid(centre-ness); boxes ``(B, N, N, 4)`` as
             x0, y0, x1, y1 in pixels of the crop.
         """
-        cls, centerness, distances = self.maps(self.backbone(x), kernels)
+        cls, centerness, distances = self.maps(self.features(x), kernels)
         return torch.sigmoid(cls) * torch.sigmoid(centerness), to_boxes(distances, x.shape[-1])
 
     def maps(self, features: Tensor, kernels: Kernels) -> Maps:
@@ -197,17 +216,6 @@ class SiamFCpp(Network):
 
     def _neck(self, child: str, features: Tensor) -> Tensor:
         return self.neck.run(self.spec.arch[f"neck.{child}"], features)
-
-
-def trainable(network: Network) -> SiamFCpp:
-    """Return a network as one that the losses of training know.
-
-    Raises:
-        UserError: it is of another architecture than SiamFC++.
-    """
-    if not isinstance(network, SiamFCpp):
-        raise UserError(f"a model of architecture {network.spec.architecture} cannot be trained yet: give a SiamFC++")
-    return network
 
 
 def depthwise_correlation(features: Tensor, kernels: Tensor) -> Tensor:

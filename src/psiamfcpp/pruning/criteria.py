@@ -195,10 +195,12 @@ def _readers(group: Group, context: Context, positions: int) -> dict[str, dict[i
     """By name of a layer that reads a group: the position of the filter that each input comes from."""
     names = {module: name for name, module in context.model.named_modules()}
     found: dict[str, dict[int, int]] = {}
+    graph = context.dependencies
     for item in _tied(group, context):
         layer, handler = item.dep.target.module, item.dep.handler
-        depthwise = isinstance(layer, nn.Conv2d) and layer.groups == layer.out_channels > 1
-        if context.dependencies.is_in_channel_pruning_fn(handler) and layer in names and not depthwise:
+        # BatchNorm and depthwise convolutions lose inputs and outputs in one: they hand channels on.
+        hands_on = graph.is_out_channel_pruning_fn(handler)
+        if graph.is_in_channel_pruning_fn(handler) and not hands_on and layer in names:
             inputs = zip(item.idxs, item.root_idxs, strict=True)
             found.setdefault(names[layer], {}).update({channel: root % positions for channel, root in inputs})
     return found

@@ -9,7 +9,7 @@ at once see Kurtic et al. 2023 (ZipLM).
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,7 +17,7 @@ import torch
 from torch import Tensor, nn
 
 from psiamfcpp.errors import UserError
-from psiamfcpp.pruning.reading import RIDGE, Layer, rows_of, run
+from psiamfcpp.pruning.reading import RIDGE, Layer, calls_of, inputs_of, rows_of
 
 # Positions of each map that moments are taken over: neighbours say much the same.
 _POSITIONS = 256
@@ -95,7 +95,7 @@ def eliminate(fits: list[Fit], units: int) -> Tensor:
 
 
 @torch.no_grad()
-def fits_of(model: nn.Module, readers: dict[str, dict[int, int]], units: int, batches: Iterable[Any]) -> list[Fit]:
+def fits_of(model: nn.Module, readers: dict[str, dict[int, int]], units: int, batches: Sequence[Any]) -> list[Fit]:
     """Return the fits of layers that read a group's filters; errors are shares of the variance of a layer's outputs.
 
     Args:
@@ -131,7 +131,7 @@ def _reader(model: nn.Module, name: str) -> Layer:
     return layer
 
 
-def _moments(model: nn.Module, layers: dict[str, Layer], batches: Iterable[Any]) -> dict[str, Tensor]:
+def _moments(model: nn.Module, layers: dict[str, Layer], batches: Sequence[Any]) -> dict[str, Tensor]:
     """Second moments ``(groups, K, K)`` of what layers read, about the mean for those with a bias.
 
     Each call of a layer counts alike, however large its maps, so that a template counts as much as a search crop.
@@ -155,19 +155,13 @@ def _moments(model: nn.Module, layers: dict[str, Layer], batches: Iterable[Any])
         sums[name] = sums.get(name, 0) + (rows @ rows.mT).double().cpu() * (len(x) / rows.shape[2])
         weights[name] = weights.get(name, 0) + len(x)
 
-    hooks = [
-        layer.register_forward_hook(lambda _m, inputs, _o, name=name, layer=layer: seen(name, layer, inputs[0]))
-        for name, layer in layers.items()
-    ]
-    try:
-        for batch in batches:
-            run(model, batch)
-    finally:
-        for hook in hooks:
-            hook.remove()
-    unseen = [name for name in layers if name not in sums]
+    calls = calls_of(model, batches[0])
+    unseen = [name for name in layers if name not in calls]
     if unseen:
         raise UserError(f"no forward pass came through {', '.join(unseen)}: give other inputs")
+    for batch in batches:
+        for name, x in inputs_of(model, {name: calls[name] for name in layers}, batch):
+            seen(name, layers[name], x)
     means = {name: value / weights[name] for name, value in sums.items()}
     return {name: _centred(value, origins[name]) if name in origins else value for name, value in means.items()}
 

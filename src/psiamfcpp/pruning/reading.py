@@ -13,6 +13,10 @@ Layer = nn.Conv2d | nn.Linear
 RIDGE = 1e-3
 
 
+class PassedError(Exception):
+    """A forward pass has come through the layers that are looked at: what follows is of no use."""
+
+
 def layers_of(model: nn.Module) -> list[tuple[str, Layer]]:
     """What can be fitted."""
     return [(name, module) for name, module in model.named_modules() if isinstance(module, (nn.Conv2d, nn.Linear))]
@@ -44,6 +48,36 @@ def rows_of(layer: Layer, x: Tensor) -> Tensor:
     else:
         rows = x.reshape(1, -1, layer.in_features).mT
     return F.pad(rows, (0, 0, 0, 1), value=1.0) if layer.bias is not None else rows
+
+
+def inputs_of(model: nn.Module, calls: dict[str, int], batch: Any) -> list[tuple[str, Tensor]]:
+    """What layers read in a forward pass, call by call; it ends when all of their calls were seen.
+
+    Args:
+        model: the network.
+        calls: how often a pass calls each of the layers.
+        batch: what its forward takes.
+    """
+    found: list[tuple[str, Tensor]] = []
+
+    def called(name: str, x: Tensor) -> None:
+        # a copy, since what comes next may write into it
+        found.append((name, x.clone()))
+        if len(found) == sum(calls.values()):
+            raise PassedError
+
+    hooks = [
+        model.get_submodule(name).register_forward_hook(lambda _m, inputs, _o, name=name: called(name, inputs[0]))
+        for name in calls
+    ]
+    try:
+        run(model, batch)
+    except PassedError:
+        pass
+    finally:
+        for hook in hooks:
+            hook.remove()
+    return found
 
 
 def run(model: nn.Module, batch: Any) -> None:

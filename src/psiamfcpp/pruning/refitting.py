@@ -12,7 +12,7 @@ from torch import Tensor, nn
 from psiamfcpp.errors import UserError
 from psiamfcpp.pruning.groups import Group, find_groups
 from psiamfcpp.pruning.planning import Plan
-from psiamfcpp.pruning.reading import RIDGE, calls_of, layers_of, rows_of, run
+from psiamfcpp.pruning.reading import RIDGE, PassedError, calls_of, layers_of, rows_of, run
 from psiamfcpp.pruning.surgery import cut
 
 Network = TypeVar("Network", bound=nn.Module)
@@ -20,10 +20,6 @@ Network = TypeVar("Network", bound=nn.Module)
 
 # Positions that a layer is fitted at, over all batches: ten times what the widest layers have of weights a filter.
 _POSITIONS = 2**15
-
-
-class _PassedError(Exception):
-    """A forward pass has come through the layer that is looked at: what follows is of no use."""
 
 
 @torch.no_grad()
@@ -153,12 +149,12 @@ def _passes(model: nn.Module, layer: nn.Module, batch: Any, calls: int) -> list[
         # copies, since what comes next may write into them
         found.append((inputs[0].clone(), output.clone()))
         if len(found) == calls:
-            raise _PassedError
+            raise PassedError
 
     hook = layer.register_forward_hook(seen)
     try:
         run(model, batch)
-    except _PassedError:
+    except PassedError:
         pass
     finally:
         hook.remove()

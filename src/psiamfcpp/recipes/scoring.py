@@ -12,7 +12,6 @@ from psiamfcpp.datasets import Sequence
 from psiamfcpp.datasets.choice import DataChoice
 from psiamfcpp.errors import UserError
 from psiamfcpp.models import Network, load
-from psiamfcpp.models.network import trainable
 from psiamfcpp.pruning.criteria import (
     WITH_LOSS,
     WITH_MAPS,
@@ -104,8 +103,9 @@ def loss_gradients(network: Network, sequences: list[Sequence], options: TrainOp
         options: losses, pairs and batch of training.
     """
     network.zero_grad()
-    loss = PairLoss(trainable(network), options.losses)
-    for batch in held_out_batches(sequences, options.pairs, _BATCHES * options.batch, options.batch):
+    loss = PairLoss(network, options.losses)
+    drawn = held_out_batches(sequences, options.pairs, _BATCHES * options.batch, options.batch, arch=network.spec.arch)
+    for batch in drawn:
         loss(batch)["total"].backward()
     found = gradients_of(network)
     network.zero_grad()
