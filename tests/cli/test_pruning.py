@@ -250,6 +250,7 @@ def test_plans_by_every_criterion(
     assert run("rank", tiny_model, *data, "-o", ranks, "--images", 4).code == 0
     (tmp_path / "mine.py").write_text("def last(group, context):\n    return list(range(group.width))\n")
     given = {"rank": ("--ranks", ranks), "norm": (), "median": (), "random": (), "mine:last": (), "taylor": data}
+    given["refit"] = (*data, "--images", 4)
     plans: dict[str, dict[str, list[int]]] = {}
     for criterion, options in given.items():
         output = tmp_path / f"{criterion}.json"
@@ -271,6 +272,7 @@ def test_plans_by_every_criterion(
         (["--criterion", "size"], "unknown criterion 'size': known are rank, norm"),
         (["--criterion", "rank"], "needs the rank table"),
         (["--criterion", "taylor"], "needs gradients"),
+        (["--criterion", "refit"], "looks at maps: give --data"),
         (["--criterion", "absent:f"], "'absent:f' cannot be imported"),
     ],
 )

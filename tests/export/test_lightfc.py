@@ -17,7 +17,6 @@ from psiamfcpp.export.files import write_graphs
 from psiamfcpp.export.graph import Ranges
 from psiamfcpp.export.quantize import measure
 from psiamfcpp.models.lightfc import LightFC
-from psiamfcpp.pruning.models import groups_of
 from psiamfcpp.runtime import open_engine
 from psiamfcpp.runtime.torch_engine import TorchEngine
 
@@ -64,5 +63,3 @@ def test_other_sizes_of_the_search_crop(network: LightFC, graphs: Path) -> None:
 def test_what_is_not_there_yet_is_said(network: LightFC) -> None:
     with pytest.raises(UserError, match="architecture lightfc has no 8-bit graphs yet"):
         measure(network.spec, {}, [])
-    with pytest.raises(UserError, match="architecture lightfc cannot be ranked or pruned yet"):
-        groups_of(network.spec)

@@ -14,7 +14,6 @@ from psiamfcpp.errors import UserError
 from psiamfcpp.models import load
 from psiamfcpp.models.cost import facts
 from psiamfcpp.models.lightfc import LightFC, correlate_cells, to_boxes
-from psiamfcpp.models.network import trainable
 
 pytest.importorskip("onnx")
 import onnx
@@ -202,8 +201,3 @@ def test_what_is_no_graph_is_refused(deployed: tuple[Path, Path], tmp_path: Path
 def test_three_files_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["import", "a", "b", "c", "-o", str(tmp_path / "x.safetensors")]) == 2
     assert "3 files to import" in capsys.readouterr().err
-
-
-def test_it_cannot_be_trained_yet(network: LightFC) -> None:
-    with pytest.raises(UserError, match="architecture lightfc cannot be trained yet"):
-        trainable(network)

@@ -85,7 +85,7 @@ def test_every_criterion_scores_our_groups(
 ) -> None:
     groups = groups_of(ModelSpec(widths=dict(WIDTHS)))
     sum(out.sum() for out in siamese(*pair)).backward()
-    context = Context(siamese, pair, rank(siamese, [pair], groups), gradients_of(siamese))
+    context = Context(siamese, pair, rank(siamese, [pair], groups), gradients_of(siamese), [pair])
     found = scores(groups, context, CRITERIA[criterion])
     assert {name: worth.shape for name, worth in found.items()} == {n: (w,) for n, w in WIDTHS.items()}
     # Random weights leave many maps their full rank, which orders nothing.

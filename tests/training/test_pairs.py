@@ -380,7 +380,7 @@ def is_held(cache: ImageCache, path: Path) -> bool:
 
 
 def test_cached_pictures_are_those_of_the_files(three: list[Path]):
-    cache = ImageCache(1000, FrameStore())
+    cache = ImageCache(1000, FrameStore(), mean_colour)
     for path in three * 2:
         image, fill = cache.get(path)
         assert np.array_equal(image, read_image(path))
@@ -389,7 +389,7 @@ def test_cached_pictures_are_those_of_the_files(three: list[Path]):
 
 def test_the_cache_drops_what_was_unused_for_longest(three: list[Path]):
     a, b, c = three
-    cache = ImageCache(60, FrameStore())
+    cache = ImageCache(60, FrameStore(), mean_colour)
     for path in (a, b, a, c):
         cache.get(path)
     assert [is_held(cache, path) for path in (a, b, c)] == [True, False, True]
@@ -397,7 +397,7 @@ def test_the_cache_drops_what_was_unused_for_longest(three: list[Path]):
 
 @pytest.mark.parametrize(("limit", "held"), [(0, 0), (29, 0), (30, 1), (59, 1), (60, 2), (90, 3), (1000, 3)])
 def test_the_cache_keeps_to_its_limit(three: list[Path], limit: int, held: int):
-    cache = ImageCache(limit, FrameStore())
+    cache = ImageCache(limit, FrameStore(), mean_colour)
     for path in three:
         assert np.array_equal(cache.get(path)[0], read_image(path))
     assert sum(is_held(cache, path) for path in three) == held

@@ -18,6 +18,7 @@ def plan(
     criterion: str = "rank",
     ranks: Path | None = None,
     data: tuple[str, ...] = (),
+    images: int = 100,
     held_out_every: HeldOut = 8,
     preset: Literal["paper"] | None = None,
     keep: tuple[str, ...] = (),
@@ -29,6 +30,7 @@ def plan(
     precision: Literal["int8", "fp32"] = "int8",
     threads: int | None = None,
     flat: bool = False,
+    multiple: int = 1,
     search_size: int | None = None,
     output: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None,
     overwrite: Overwrite = False,
@@ -40,9 +42,12 @@ def plan(
 
     Args:
         source: table that `psiamfcpp rank` wrote, .json; or the model, to score its filters by another criterion.
-        criterion: rank, norm, median, taylor, random, or MODULE:FUNCTION, a function f(group, context) -> scores (n,).
+        criterion: rank, norm, median, taylor, random, refit, or MODULE:FUNCTION, a function
+            f(group, context) -> scores (n,).
         ranks: with a model: its rank table, for the criterion rank.
-        data: with a model: sets to run the training loss on, each LAYOUT:FOLDER, for the criterion taylor.
+        data: with a model: sets to run the training loss on, for the criterion taylor, or to draw crops from, for
+            refit; each LAYOUT:FOLDER.
+        images: with a model: pairs of crops for the criterion refit, drawn as by `psiamfcpp rank`.
         preset: the paper's shares.
         keep: GROUP=SHARE: share of the group's filters to KEEP; groups not named stay whole.
         remove: share of the filters to REMOVE from every group, those with flat scores apart.
@@ -53,6 +58,8 @@ def plan(
         precision: with --target-latency: what the graphs compute in.
         threads: with --target-latency: threads of the engine; by default as many as there are cores.
         flat: let `--remove` and the targets prune groups with flat scores too, by weight norm.
+        multiple: with a target: number whose multiples the widths of pruned groups are, as engines compute channels in
+            blocks.
         search_size: side of the search crop to count and to time at; that of the model by default.
         output: plan to write, .json.
     """
@@ -63,7 +70,7 @@ def plan(
     check_outputs([output], [source, ranks])
     check_new([output], overwrite)
     if not source.endswith(".json"):
-        table = score_model(source, criterion, ranks=ranks, data=data, held_out_every=held_out_every)
+        table = score_model(source, criterion, ranks=ranks, data=data, images=images, held_out_every=held_out_every)
     elif criterion != "rank" or ranks or data:
         raise UserError(
             f"{source} is a rank table, which needs no --criterion, --ranks or --data: give the model instead"
@@ -80,6 +87,7 @@ def plan(
             target_macs=target_macs,
             target_latency=target_latency,
             flat=flat,
+            multiple=multiple,
             search_size=search_size,
             timing=recipe.Timing(engine, precision, threads),
             watch=watch,

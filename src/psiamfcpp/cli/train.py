@@ -53,12 +53,9 @@ def train(
 
 
 def _line(row: dict[str, Any], steps: int) -> str:
-    text = (
-        f"step {row['step']}/{steps}  loss {row['total']:.3f} (cls {row['cls']:.3f}, centre {row['centerness']:.3f}, "
-    )
-    taught = (key for key in ("teacher", "features", "stored") if key in row)
-    text += f"iou {row['iou']:.3f}" + "".join(f", {key} {row[key]:.3f}" for key in taught)
-    text += f")  {row['pairs_per_s']:.1f} pairs/s"
+    known = {"cls": "cls", "centerness": "centre", "iou": "iou"} | {k: k for k in ("teacher", "features", "stored")}
+    parts = ", ".join(f"{shown} {row[key]:.3f}" for key, shown in known.items() if key in row)
+    text = f"step {row['step']}/{steps}  loss {row['total']:.3f} ({parts})  {row['pairs_per_s']:.1f} pairs/s"
     if "validation" in row:
         v = row["validation"]
         text += f"  held-out pairs: {v['within8']:.3f} within 8 px, {v['within16']:.3f} within 16, "

@@ -6,6 +6,7 @@ its graphs; no other file names a layer.
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 import importlib
 from collections.abc import Callable, Iterable, Mapping
@@ -13,6 +14,7 @@ from dataclasses import dataclass, field
 from typing import Any, TypeVar
 
 from psiamfcpp.errors import UserError
+from psiamfcpp.geometry import context_side
 
 # What the first layer reads, in place of a layer's name.
 PIXELS = "pixels"
@@ -83,6 +85,10 @@ class Operation:
     """a convolution, with weights of its own"""
     crossed: bool = False
     """a correlation, whose second input comes from the template crop"""
+    carries: bool = True
+    """whether it hands on the channels of what it reads, one by one or one behind the other"""
+    factors: bool = False
+    """whether its second input holds one factor for each channel, which is no map"""
 
 
 def _side_of_convolution(layer: Layer, sides: list[int]) -> int:
@@ -100,6 +106,7 @@ OPERATIONS: dict[str, Operation] = {
         width=lambda own, widths: own,
         macs=lambda layer, sides, widths, side, width: layer.kernel**2 * widths[0] * width * side**2,
         weighted=True,
+        carries=False,
     ),
     # A filter for each channel.
     "depthwise": Operation(
@@ -121,13 +128,26 @@ OPERATIONS: dict[str, Operation] = {
         width=lambda own, widths: own,
         macs=lambda layer, sides, widths, side, width: widths[0] * width * side**2,
         crossed=True,
+        carries=False,
     ),
     "sum": _without_weights(lambda own, widths: widths[0]),
     "join": _without_weights(lambda own, widths: sum(widths)),
     "mean": _without_weights(lambda own, widths: widths[0], side=1),
     # A map times a factor for each channel.
-    "gate": _without_weights(lambda own, widths: widths[0]),
+    "gate": dataclasses.replace(_without_weights(lambda own, widths: widths[0]), factors=True),
 }
+
+
+@dataclass(frozen=True)
+class Ties:
+    """What loses channels with the filters of a group."""
+
+    maps: tuple[str, ...]
+    """layers whose maps the readers see, and which so speak for the filters"""
+    others: tuple[str, ...]
+    """further layers that lose the same filters: those before a depthwise one, and the factors of a gate"""
+    readers: tuple[str, ...]
+    """layers that lose inputs"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,6 +165,8 @@ class Architecture:
     """module with ``layers(model)``, ``template_graph`` and ``search_graph``, see `psiamfcpp.export.graph`"""
     procedure: str
     """``module:NAME`` of how it is followed with, see `psiamfcpp.trackers.siamfcpp.procedure.Procedure`"""
+    objective: str
+    """``module:NAME`` of what it is trained to, see `psiamfcpp.training.objective.Objective`"""
     template_size: int
     """side of the template crop, pixels"""
     search_size: int
@@ -153,6 +175,11 @@ class Architecture:
     """sides of search crops to suggest"""
     stride: int
     """pixels of the crop between two cells of the score map"""
+    context: Callable[[float, float], float] = context_side
+    """side of the square that a template crop shows, from the target's sides, all in pixels of the frame"""
+    edge: float = 1.0
+    """pixels that the sides of crop and square count less: 1 where the middles of their corner pixels coincide, 0 where
+    their edges do"""
     presets: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     """by name: share KEPT of each group"""
     rates: tuple[tuple[str, float], ...] = ()
@@ -205,6 +232,29 @@ class Architecture:
         for layer in self.outputs:
             visit(layer.name, "search")
         return {name: tuple(view for view in ("template", "search") if view in views) for name, views in seen.items()}
+
+    def ties(self, group: str) -> Ties:
+        """What loses channels with the filters of a group, in the order of the table."""
+        carriers: dict[str, Layer] = {}
+        readers: dict[str, Layer] = {}
+        reached = {layer.name for layer in self.layers if layer.group == group}
+        own = tuple(layer for layer in self.layers if layer.name in reached)
+        for layer in self.layers:
+            if reached.isdisjoint(layer.reads):
+                continue
+            if OPERATIONS[layer.operation].carries:
+                carriers[layer.name] = layer
+                reached.add(layer.name)
+            else:
+                readers[layer.name] = layer
+        tied = [layer.name for layer in self.layers if layer in own or (layer.name in carriers and _weighted(layer))]
+        hidden = {layer.reads[0] for layer in carriers.values() if _weighted(layer)}
+        hidden |= {layer.reads[1] for layer in carriers.values() if OPERATIONS[layer.operation].factors}
+        return Ties(
+            tuple(name for name in tied if name not in hidden),
+            tuple(name for name in tied if name in hidden),
+            tuple(readers),
+        )
 
     def part(self, name: str) -> list[Layer]:
         """Rows of one part of the network."""
@@ -276,6 +326,10 @@ class Architecture:
                     readers = found.setdefault(self.exported(read), [])
                     readers += [self.exported(layer.name)] * (self.exported(layer.name) not in readers)
         return {name: tuple(readers) for name, readers in found.items()}
+
+
+def _weighted(layer: Layer) -> bool:
+    return OPERATIONS[layer.operation].weighted
 
 
 @functools.lru_cache(maxsize=64)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 
 import torch
-import torch.nn.functional as F
 from torch import Tensor
 
 from psiamfcpp.models.arch import PIXELS, Layer, by_depth, walk
@@ -26,11 +25,6 @@ _OPERATIONS: Mapping[str, Callable[..., Tensor]] = {
     "join": lambda *maps: torch.cat(maps, dim=1),
     "mean": lambda x: x.mean(dim=(2, 3), keepdim=True),
     "gate": torch.mul,
-}
-_ACTIVATIONS: Mapping[str, Callable[[Tensor], Tensor]] = {
-    "relu6": F.relu6,
-    "gelu": F.gelu,
-    "sigmoid": torch.sigmoid,
 }
 
 
@@ -54,7 +48,11 @@ class LightFC(Network):
         Returns:
             One tensor ``(B, 96, 8, 8)``.
         """
-        return (self.features(z),)
+        return self.kernels(self.features(z))
+
+    def kernels(self, features: Tensor) -> Kernels:
+        """`template`, from the backbone's features on."""
+        return (features,)
 
     def features(self, x: Tensor) -> Tensor:
         """Features ``(B, 96, S / 16, S / 16)`` of crops ``(B, 3, S, S)``, BGR, float 0..255.
@@ -95,7 +93,7 @@ class LightFC(Network):
         if row.operation in _OPERATIONS:
             return _OPERATIONS[row.operation](*read)
         out: Tensor = self.get_submodule(row.name)(*read)
-        return _ACTIVATIONS[row.activation](out) if row.activation else out
+        return out
 
 
 def correlate_cells(features: Tensor, kernels: Tensor) -> Tensor:

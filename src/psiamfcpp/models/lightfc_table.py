@@ -5,6 +5,7 @@ MobileNetV2 to stride 16, pixel-wise correlation with squeeze-and-excitation, an
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 
 from psiamfcpp.models.arch import PIXELS, Architecture, Layer
@@ -101,8 +102,11 @@ ARCHITECTURE = Architecture(
     network="psiamfcpp.models.lightfc:LightFC",
     exporter="psiamfcpp.export.lightfc",
     procedure="psiamfcpp.trackers.lightfc:PROCEDURE",
+    objective="psiamfcpp.training.lightfc:OBJECTIVE",
     template_size=128,
     search_size=256,
     sizes=(256,),
     stride=16,
+    context=lambda width, height: 2 * math.sqrt(width * height),
+    edge=0.0,
 )

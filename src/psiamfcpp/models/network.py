@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import torch
@@ -10,16 +10,22 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 from torch.nn.utils.fusion import fuse_conv_bn_weights
 
-from psiamfcpp.errors import UserError
 from psiamfcpp.models.arch import OPERATIONS, PIXELS, Layer, by_depth, walk
 from psiamfcpp.spec import STRIDE, ModelSpec, first_cell
 
 Kernels = tuple[Tensor, Tensor]
 Maps = tuple[Tensor, Tensor, Tensor]
 
+# What may follow a convolution in place of ReLU, by the name that the tables give it.
+_ACTIVATIONS: Mapping[str, Callable[[Tensor], Tensor]] = {
+    "relu6": F.relu6,
+    "gelu": F.gelu,
+    "sigmoid": torch.sigmoid,
+}
+
 
 class ConvBlock(nn.Module):
-    """Convolution with bias, then BatchNorm and ReLU where the design has them."""
+    """Convolution with bias, then BatchNorm and an activation where the design has them."""
 
     def __init__(
         self,
@@ -31,11 +37,13 @@ class ConvBlock(nn.Module):
         relu: bool = True,
         padding: int = 0,
         groups: int = 1,
+        activation: str | None = None,
     ):
         super().__init__()
         self.conv = nn.Conv2d(inputs, outputs, kernel, stride, padding, groups=groups)
         self.bn = nn.BatchNorm2d(outputs) if bn else None
         self.relu = relu
+        self.activation = activation
 
     def forward(self, x: Tensor) -> Tensor:
         """Map ``(B, inputs, H, W)`` to ``(B, outputs, H', W')``."""
@@ -47,7 +55,9 @@ class ConvBlock(nn.Module):
             # Frozen, BatchNorm is a part of the convolution: that saves a pass over what can be very large maps.
             conv = self.conv
             x = F.conv2d(x, *self._folded(self.bn), conv.stride, conv.padding, groups=conv.groups)
-        return F.relu(x, inplace=True) if self.relu else x
+        if self.relu:
+            return F.relu(x, inplace=True)
+        return _ACTIVATIONS[self.activation](x) if self.activation else x
 
     def _folded(self, bn: nn.BatchNorm2d) -> tuple[Tensor, Tensor | None]:
         conv, mean, var = self.conv, bn.running_mean, bn.running_var
@@ -66,8 +76,8 @@ class Part(nn.Module):
                 continue
             inputs, outputs = (spec.arch.width(name, spec.widths) for name in (row.reads[0], row.name))
             groups = inputs if row.operation == "depthwise" else 1
-            block = ConvBlock(inputs, outputs, row.kernel, row.stride, row.bn, row.relu, row.padding, groups)
-            self.add_module(row.child, block)
+            how = row.kernel, row.stride, row.bn, row.relu, row.padding, groups, row.activation
+            self.add_module(row.child, ConvBlock(inputs, outputs, *how))
 
     def walk(self, maps: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """Run all layers; what they read from outside the part is given by name."""
@@ -118,9 +128,24 @@ class Head(Part):
 class Network(nn.Module):
     """What files, engines and graphs need of a network: `template` once for a target, `search` for every frame."""
 
+    backbone: Part
+    """what both crops go through"""
+
     def __init__(self, spec: ModelSpec):
         super().__init__()
         self.spec = spec
+
+    def features(self, x: Tensor) -> Tensor:
+        """Return the backbone's features ``(B, C, H, W)`` of crops ``(B, 3, S, S)``, BGR, float 0..255."""
+        raise NotImplementedError
+
+    def kernels(self, features: Tensor) -> Any:
+        """Return what `template` does, from the features on."""
+        raise NotImplementedError
+
+    def maps(self, features: Tensor, kernels: Any) -> Maps:
+        """Return what the losses look at, from the features of the search crops on."""
+        raise NotImplementedError
 
     def template(self, z: Tensor) -> tuple[Tensor, ...]:
         """Return what `search` needs of template crops ``(B, 3, Z, Z)``, BGR, float 0..255."""
@@ -153,7 +178,12 @@ class SiamFCpp(Network):
         Returns:
             ``cls_kernel`` and ``reg_kernel``, each ``(B, C, 4, 4)``.
         """
-        return self.kernels(self.backbone(z))
+        return self.kernels(self.features(z))
+
+    def features(self, x: Tensor) -> Tensor:
+        """Return the backbone's features of crops."""
+        found: Tensor = self.backbone(x)
+        return found
 
     def kernels(self, features: Tensor) -> Kernels:
         """`template`, from the backbone's features on."""
@@ -170,7 +200,7 @@ class SiamFCpp(Network):
             scores ``(B, N, N)``, 0..1: sigmoid(class) times sigmoid(centre-ness); boxes ``(B, N, N, 4)`` as
             x0, y0, x1, y1 in pixels of the crop.
         """
-        cls, centerness, distances = self.maps(self.backbone(x), kernels)
+        cls, centerness, distances = self.maps(self.features(x), kernels)
         return torch.sigmoid(cls) * torch.sigmoid(centerness), to_boxes(distances, x.shape[-1])
 
     def maps(self, features: Tensor, kernels: Kernels) -> Maps:
@@ -186,17 +216,6 @@ class SiamFCpp(Network):
 
     def _neck(self, child: str, features: Tensor) -> Tensor:
         return self.neck.run(self.spec.arch[f"neck.{child}"], features)
-
-
-def trainable(network: Network) -> SiamFCpp:
-    """Return a network as one that the losses of training know.
-
-    Raises:
-        UserError: it is of another architecture than SiamFC++.
-    """
-    if not isinstance(network, SiamFCpp):
-        raise UserError(f"a model of architecture {network.spec.architecture} cannot be trained yet: give a SiamFC++")
-    return network
 
 
 def depthwise_correlation(features: Tensor, kernels: Tensor) -> Tensor:

@@ -53,6 +53,7 @@ ARCHITECTURE = Architecture(
     network="psiamfcpp.models.network:SiamFCpp",
     exporter="psiamfcpp.export.siamfcpp",
     procedure="psiamfcpp.trackers.siamfcpp.procedure:PROCEDURE",
+    objective="psiamfcpp.training.siamfcpp:OBJECTIVE",
     template_size=127,
     search_size=303,
     sizes=(239, 303),

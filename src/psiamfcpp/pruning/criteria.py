@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import copy
 import functools
 import importlib
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -16,6 +17,7 @@ from torch import Tensor, nn
 
 from psiamfcpp.errors import UserError
 from psiamfcpp.geometry import FloatArray
+from psiamfcpp.pruning.elimination import eliminate, fits_of
 from psiamfcpp.pruning.groups import Group, convolution_of, dependency_graph
 from psiamfcpp.pruning.ranking import weight_norm
 from psiamfcpp.pruning.table import GroupRanks, RankTable
@@ -33,6 +35,8 @@ class Context:
     """the network's rank table, if it was ranked"""
     gradients: Mapping[str, Tensor] | None = None
     """gradient of a loss for each parameter by name, if a loss was run backward; see `gradients_of`"""
+    batches: Sequence[Any] = ()
+    """what its forward takes, as in use: a hundred images or so, for criteria that look at maps"""
     generator: torch.Generator = field(default_factory=lambda: torch.Generator().manual_seed(0))
     """of criteria that draw"""
 
@@ -82,9 +86,33 @@ def random(group: Group, context: Context) -> FloatArray:
     return torch.rand(group.width, generator=context.generator).double().numpy()
 
 
-CRITERIA: dict[str, Criterion] = {f.__name__: f for f in (rank, norm, median, taylor, random)}
+def refit(group: Group, context: Context) -> FloatArray:
+    """Return the error ``(n,)`` that the layers which read a group reach when its filters are removed one by one.
+
+    Always that filter goes next whose removal costs the least-squares fit of these layers least, so that a filter is
+    worth what is lost with it and with all that are worth less. The error is the mean square of what a layer's outputs
+    are off, over their variance: the sum over the layers, 0 where nothing is lost and about 1 a layer where nothing is
+    left. It does not change with the scale of a filter, and compares from group to group.
+
+    Filters that a grouped convolution ties are removed together.
+    """
+    if not context.batches:
+        raise UserError("the criterion refit looks at maps: give --data LAYOUT:FOLDER (in Python, batches)")
+    positions = group.width // group.parts
+    # Blocks may fold a frozen BatchNorm into the convolution, whose own inputs would then not be seen.
+    model = copy.deepcopy(context.model).eval().requires_grad_(True)
+    fits = fits_of(model, _readers(group, context, positions), positions, context.batches)
+    reached: FloatArray = eliminate(fits, positions).numpy()
+    return np.tile(reached, group.parts)
+
+
+CRITERIA: dict[str, Criterion] = {f.__name__: f for f in (rank, norm, median, taylor, random, refit)}
 # Those that look at gradients, and so need a loss and data.
 WITH_LOSS = frozenset({"taylor"})
+# Those that look at maps, and so need data.
+WITH_MAPS = frozenset({"refit"})
+# Those whose scores are errors: reached with the filter gone and all that score less, and alike from group to group.
+_ERRORS = frozenset({refit})
 
 
 def find_criterion(name: str) -> Criterion:
@@ -147,18 +175,42 @@ def score_table(groups: Mapping[str, Group], context: Context, criterion: Criter
         UserError: as of `scores`.
     """
     worth = scores(groups, context, criterion)
-    rows = {n: GroupRanks(worth[n], None, weight_norm(context.model, g), g.parts) for n, g in groups.items()}
+    norms = {name: weight_norm(context.model, group) for name, group in groups.items()}
+    rows = {
+        name: GroupRanks(worth[name], None, norms[name], group.parts, errors=criterion in _ERRORS)
+        for name, group in groups.items()
+    }
     return RankTable(0 if context.ranks is None else context.ranks.images, rows)
 
 
 def _importance(name: str, group: Group, context: Context) -> FloatArray:
     """What one of torch-pruning's measures gives for a group."""
-    import torch_pruning
     from torch_pruning.pruner import importance
 
+    values: FloatArray = getattr(importance, name)()(_tied(group, context)).double().cpu().numpy()
+    return values
+
+
+def _readers(group: Group, context: Context, positions: int) -> dict[str, dict[int, int]]:
+    """By name of a layer that reads a group: the position of the filter that each input comes from."""
+    names = {module: name for name, module in context.model.named_modules()}
+    found: dict[str, dict[int, int]] = {}
+    graph = context.dependencies
+    for item in _tied(group, context):
+        layer, handler = item.dep.target.module, item.dep.handler
+        # BatchNorm and depthwise convolutions lose inputs and outputs in one: they hand channels on.
+        hands_on = graph.is_out_channel_pruning_fn(handler)
+        if graph.is_in_channel_pruning_fn(handler) and not hands_on and layer in names:
+            inputs = zip(item.idxs, item.root_idxs, strict=True)
+            found.setdefault(names[layer], {}).update({channel: root % positions for channel, root in inputs})
+    return found
+
+
+def _tied(group: Group, context: Context) -> Any:
+    """torch-pruning's record of all that loses channels with a group."""
+    import torch_pruning
+
     root = convolution_of(context.model, group.blocks[0])
-    tied = context.dependencies.get_pruning_group(
+    return context.dependencies.get_pruning_group(
         root, torch_pruning.prune_conv_out_channels, idxs=list(range(group.width))
     )
-    values: FloatArray = getattr(importance, name)()(tied).double().cpu().numpy()
-    return values

@@ -26,6 +26,8 @@ class Group:
     """names of the group's maps in the order in which a forward pass makes them, where they have names"""
     name: str = ""
     """name in plans and tables; by default that of the first block"""
+    others: tuple[str, ...] = field(default=(), compare=False)
+    """names of further modules that lose the same filters, whose maps do not speak for them, where they are known"""
     readers: tuple[str, ...] = field(default=(), compare=False)
     """names of the layers that lose inputs with the group's filters, where they are known"""
 
@@ -35,8 +37,8 @@ class Group:
     def __str__(self) -> str:
         """Return one line: name, filters, what is tied, what reads them."""
         parts = [f"{self.name}: {self.width} filters"]
-        if len(self.blocks) > 1:
-            parts.append("tied in " + ", ".join(self.blocks))
+        if len(self.blocks) + len(self.others) > 1:
+            parts.append("tied in " + ", ".join((*self.others, *self.blocks)))
         elif self.blocks[0] != self.name:
             parts.append(f"of {self.blocks[0]}")
         if self.parts > 1:

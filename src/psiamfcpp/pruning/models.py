@@ -7,37 +7,26 @@ import dataclasses
 import torch
 from torch import Tensor
 
-from psiamfcpp.errors import UserError
 from psiamfcpp.models import Network, build
-from psiamfcpp.models.arch import Architecture
 from psiamfcpp.pruning.groups import Group
 from psiamfcpp.pruning.planning import Plan
 from psiamfcpp.pruning.surgery import prune
 from psiamfcpp.spec import ModelSpec
 
-# Operations through which filters are followed to what reads them.
-_KNOWN = {"convolution", "correlation"}
-
 
 def groups_of(spec: ModelSpec) -> dict[str, Group]:
-    """Return the groups of a network by name, from the table of its architecture and its widths.
-
-    Raises:
-        UserError: the table has operations for which it is not known yet what goes with a filter.
-    """
+    """Return the groups of a network by name, from the table of its architecture and its widths."""
     arch = spec.arch
-    if not {layer.operation for layer in arch.layers} <= _KNOWN:
-        raise UserError(f"a model of architecture {spec.architecture} cannot be ranked or pruned yet: give a SiamFC++")
-    members = {name: [layer.name for layer in arch.layers if layer.group == name] for name in arch.groups}
     return {
         name: Group(
-            tuple(blocks),
+            ties.maps,
             spec.widths[name],
-            views=tuple(view for block in blocks for view in arch.views[block]),
+            views=tuple(view for block in ties.maps for view in arch.views[block]),
             name=name,
-            readers=_readers(arch, blocks),
+            others=ties.others,
+            readers=ties.readers,
         )
-        for name, blocks in members.items()
+        for name, ties in ((name, arch.ties(name)) for name in arch.groups)
     }
 
 
@@ -63,12 +52,3 @@ def example_inputs(spec: ModelSpec) -> tuple[Tensor, Tensor]:
         torch.rand(1, 3, size, size, generator=generator) * 255 for size in (spec.template_size, spec.search_size)
     )
     return template, search
-
-
-def _readers(arch: Architecture, blocks: list[str]) -> tuple[str, ...]:
-    """Layers that read the blocks; a correlation hands channels on to those that read it."""
-    found: list[str] = []
-    for layer in arch.layers:
-        if any(read in blocks for read in layer.reads):
-            found += _readers(arch, [layer.name]) if layer.operation == "correlation" else [layer.name]
-    return tuple(dict.fromkeys(found))

@@ -175,20 +175,25 @@ def order(name: str, group: GroupRanks, count: int) -> NDArray[np.intp]:
 
 
 def plan_for_budget(
-    table: RankTable, cost: Callable[[Mapping[str, int]], float], budget: float, flat_too: bool = False
+    table: RankTable,
+    cost: Callable[[Mapping[str, int]], float],
+    budget: float,
+    flat_too: bool = False,
+    multiple: int = 1,
 ) -> Plan:
     """Lose as little rank as meets the budget.
 
     The loss is the sum over groups of the squared log of the share of its rank that a group keeps. A log, because each
     layer passes on what it was given and shares multiply; squared, because a layer cut to a sliver is a bottleneck that
-    no other can make good. Greedy: of all groups' next filters, those with the smallest ratio of loss to saved cost go
-    first.
+    no other can make good. Where the table holds errors, it is the sum of those that groups reach. Greedy: of all
+    groups' next filters, those with the smallest ratio of loss to saved cost go first.
 
     Args:
         table: the ranks.
         cost: of a network of given widths.
         budget: highest cost allowed, in the same unit.
         flat_too: prune groups with flat ranks as well, by weight norm; otherwise they stay whole.
+        multiple: number whose multiples the widths of pruned groups are.
 
     Raises:
         UserError: the budget cannot be met.
@@ -203,8 +208,8 @@ def plan_for_budget(
             # In steps of about one in fifty, so that a plan takes hundreds of looks at the cost and not thousands.
             parts = table.groups[name].parts
             step = max(1, table.widths[name] // (50 * parts)) * parts
-            left = widths[name] - step
-            if left < max(parts, 1):
+            left = (widths[name] - step) // (multiple * parts) * multiple * parts
+            if left < 1:
                 continue
             saved = current - cost({**widths, name: left})
             lost = float(losses[name][left] - losses[name][widths[name]])
@@ -222,6 +227,9 @@ def plan_for_budget(
 
 def _losses(group: GroupRanks) -> NDArray[np.float64]:
     """Loss ``(n + 1,)`` of keeping 0, 1, ... n filters of the highest ranks; of keeping none at all, infinite."""
+    if group.errors:
+        # Of n filters kept, the error is that of the best one to go.
+        return np.concatenate([[np.inf], np.sort(group.rank)[::-1][1:], [0.0]])
     kept = np.cumsum(np.sort(group.rank)[::-1])
     shares = kept / kept[-1] if kept[-1] else np.ones(len(kept))
     return np.concatenate([[np.inf], np.log(shares) ** 2])

@@ -122,7 +122,8 @@ def map_ranks(maps: Tensor) -> Tensor:
 
 def weight_norm(model: nn.Module, group: Group) -> FloatArray:
     """L2 norm ``(n,)`` of each filter's weights over all tied convolutions."""
-    weights = [convolution_of(model, block).weight.detach().flatten(1) for block in group.blocks]
+    tied = (*group.others, *group.blocks)
+    weights = [convolution_of(model, block).weight.detach().flatten(1) for block in tied]
     return torch.cat(weights, dim=1).double().norm(dim=1).cpu().numpy()
 
 

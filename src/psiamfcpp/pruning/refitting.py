@@ -7,22 +7,19 @@ from collections.abc import Callable, Iterable, Mapping
 from typing import Any, TypeVar
 
 import torch
-import torch.nn.functional as F
 from torch import Tensor, nn
 
 from psiamfcpp.errors import UserError
 from psiamfcpp.pruning.groups import Group, find_groups
 from psiamfcpp.pruning.planning import Plan
+from psiamfcpp.pruning.reading import RIDGE, PassedError, calls_of, layers_of, rows_of, run
 from psiamfcpp.pruning.surgery import cut
 
 Network = TypeVar("Network", bound=nn.Module)
 
-# Against the mean square of a layer's inputs: how strongly weights are held to what they were.
-_RIDGE = 1e-3
 
-
-class _PassedError(Exception):
-    """A forward pass has come through the layer that is looked at: what follows is of no use."""
+# Positions that a layer is fitted at, over all batches: ten times what the widest layers have of weights a filter.
+_POSITIONS = 2**15
 
 
 @torch.no_grad()
@@ -57,19 +54,16 @@ def refit(
     # Blocks may fold a frozen BatchNorm into the convolution, whose own outputs would then not be seen.
     now, before = (copy.deepcopy(model).eval().requires_grad_(True) for model in (pruned, original))
     kept = _kept_filters(before, batches[0], plan, groups)
-    if {name: len(layer.weight) for name, layer in _layers(now)} != {name: len(kept[name]) for name in kept}:
+    if {name: len(layer.weight) for name, layer in layers_of(now)} != {name: len(kept[name]) for name in kept}:
         raise UserError("the pruned network is not what the plan makes of the original: their widths differ")
-    calls = _calls(now, batches[0])
+    calls = calls_of(now, batches[0])
+    limit = -(-_POSITIONS // len(batches))
+    wanted = _targets(before, kept, batches, limit)
     for name in watch(list(calls)):
-        _fit(now, before, name, kept[name], batches, calls[name])
+        _fit(now, name, wanted.pop(name), batches, calls[name], limit)
     result = copy.deepcopy(pruned)
     result.load_state_dict(now.state_dict())
     return result
-
-
-def _layers(model: nn.Module) -> list[tuple[str, nn.Conv2d | nn.Linear]]:
-    """What can be fitted."""
-    return [(name, module) for name, module in model.named_modules() if isinstance(module, (nn.Conv2d, nn.Linear))]
 
 
 def _kept_filters(
@@ -77,46 +71,68 @@ def _kept_filters(
 ) -> dict[str, Tensor]:
     """The numbers, in the original, of the filters that each layer keeps: pruned with it, as its weights."""
     marked = copy.deepcopy(original)
-    for _, layer in _layers(marked):
+    for _, layer in layers_of(marked):
         layer.weight.transpose(0, -1).copy_(torch.arange(len(layer.weight)))
     # Without the check of `prune`: numbers instead of weights overflow.
     pruned, _ = cut(marked, example, plan, find_groups(marked, example) if groups is None else groups)
-    return {name: layer.weight.flatten(1)[:, 0].long() for name, layer in _layers(pruned)}
+    return {name: layer.weight.flatten(1)[:, 0].long() for name, layer in layers_of(pruned)}
 
 
-def _calls(model: nn.Module, example: Any) -> dict[str, int]:
-    """How often a forward pass calls each layer, in the order of the first calls."""
-    calls: dict[str, int] = {}
+def _targets(before: nn.Module, kept: dict[str, Tensor], batches: list[Any], limit: int) -> dict[str, list[Tensor]]:
+    """What each layer is to put out at the chosen positions, ``(filters, positions)`` for each batch and call."""
+    found: dict[str, list[Tensor]] = {name: [] for name in kept}
 
-    def called(name: str) -> None:
-        calls[name] = calls.get(name, 0) + 1
+    def seen(name: str, layer: nn.Module, output: Tensor) -> None:
+        # a copy, since what comes next may write into it
+        found[name].append(_chosen(_flat(layer, output), limit)[kept[name]].clone())
 
-    hooks = [layer.register_forward_hook(lambda *_, name=name: called(name)) for name, layer in _layers(model)]
+    hooks = [
+        layer.register_forward_hook(lambda m, _inputs, output, name=name: seen(name, m, output))
+        for name, layer in layers_of(before)
+    ]
     try:
-        _run(model, example)
+        for batch in batches:
+            run(before, batch)
     finally:
         for hook in hooks:
             hook.remove()
-    return calls
+    return found
 
 
-def _fit(now: nn.Module, before: nn.Module, name: str, kept: Tensor, batches: list[Any], calls: int) -> None:
+def _flat(layer: nn.Module, output: Tensor) -> Tensor:
+    """A layer's output as ``(filters, positions)``."""
+    return output.movedim(-1 if isinstance(layer, nn.Linear) else 1, 0).flatten(1)
+
+
+def _chosen(columns: Tensor, limit: int) -> Tensor:
+    """At most so many of the last axis, always the same of as many; neighbours say much the same."""
+    count = columns.shape[-1]
+    if count <= limit:
+        return columns
+    return columns[
+        ..., torch.randperm(count, generator=torch.Generator().manual_seed(count))[:limit].to(columns.device)
+    ]
+
+
+def _fit(now: nn.Module, name: str, wanted: list[Tensor], batches: list[Any], calls: int, limit: int) -> None:
     """Fit one layer, in place."""
-    layer, taught = now.get_submodule(name), before.get_submodule(name)
+    layer = now.get_submodule(name)
     assert isinstance(layer, (nn.Conv2d, nn.Linear))
     groups = layer.groups if isinstance(layer, nn.Conv2d) else 1
     square, product = torch.zeros((), dtype=torch.float64), torch.zeros((), dtype=torch.float64)
     for number, batch in enumerate(batches):
-        seen, wanted = _passes(now, layer, batch, calls), _passes(before, taught, batch, calls)
-        pairs = [(x, output, target[kept]) for (x, output), (_, target) in zip(seen, wanted, strict=True)]
+        targets = wanted[number * calls : (number + 1) * calls]
+        pairs = [
+            (_chosen(rows_of(layer, x), limit), _chosen(_flat(layer, output), limit), target)
+            for (x, output), target in zip(_passes(now, layer, batch, calls), targets, strict=True)
+        ]
         if number == 0 and all(torch.allclose(o, t, rtol=1e-4, atol=1e-4 * float(t.std())) for _, o, t in pairs):
             return  # nothing is lost so far: a layer before the first that was cut, or that one
-        for x, output, target in pairs:
-            rows = _rows(layer, x)
-            error = (target - output).reshape(groups, len(output) // groups, -1)
+        for rows, output, target in pairs:
+            error = (target - output).reshape(groups, len(target) // groups, -1)
             square = square + (rows @ rows.mT).double()
             product = product + (rows @ error.mT).double()
-    held = _RIDGE * square.diagonal(dim1=1, dim2=2).mean().clamp(min=1e-12)
+    held = RIDGE * square.diagonal(dim1=1, dim2=2).mean().clamp(min=1e-12)
     square.diagonal(dim1=1, dim2=2).add_(held)
     change = torch.linalg.solve(square, product).mT.reshape(len(layer.weight), -1).to(layer.weight.dtype)
     if layer.bias is not None:
@@ -125,37 +141,21 @@ def _fit(now: nn.Module, before: nn.Module, name: str, kept: Tensor, batches: li
     layer.weight += change.reshape(layer.weight.shape)
 
 
-def _rows(layer: nn.Conv2d | nn.Linear, x: Tensor) -> Tensor:
-    """What the weights of a filter are multiplied by: ``(groups, weights, positions)``, with ones for the bias."""
-    if isinstance(layer, nn.Conv2d):
-        mode = "constant" if layer.padding_mode == "zeros" else layer.padding_mode
-        x = F.pad(x, layer._reversed_padding_repeated_twice, mode)
-        x = F.unfold(x, layer.kernel_size, layer.dilation, 0, layer.stride).transpose(0, 1)
-        rows = x.reshape(layer.groups, len(x) // layer.groups, -1)
-    else:
-        rows = x.reshape(1, -1, layer.in_features).mT
-    return F.pad(rows, (0, 0, 0, 1), value=1.0) if layer.bias is not None else rows
-
-
 def _passes(model: nn.Module, layer: nn.Module, batch: Any, calls: int) -> list[tuple[Tensor, Tensor]]:
-    """Inputs of a layer and its outputs, these with filters first, call by call."""
+    """Inputs of a layer and its outputs, call by call."""
     found: list[tuple[Tensor, Tensor]] = []
 
     def seen(_module: nn.Module, inputs: tuple[Tensor, ...], output: Tensor) -> None:
         # copies, since what comes next may write into them
-        found.append((inputs[0].clone(), output.movedim(-1 if isinstance(layer, nn.Linear) else 1, 0).clone()))
+        found.append((inputs[0].clone(), output.clone()))
         if len(found) == calls:
-            raise _PassedError
+            raise PassedError
 
     hook = layer.register_forward_hook(seen)
     try:
-        _run(model, batch)
-    except _PassedError:
+        run(model, batch)
+    except PassedError:
         pass
     finally:
         hook.remove()
     return found
-
-
-def _run(model: nn.Module, batch: Any) -> None:
-    model(*batch) if isinstance(batch, (tuple, list)) else model(batch)

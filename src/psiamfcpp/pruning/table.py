@@ -45,6 +45,8 @@ class GroupRanks:
     """grouped convolutions part the filters in so many blocks, which must keep the same positions"""
     views: Mapping[str, View] = field(default_factory=dict)
     """the ranks by kind of crop, where there are several"""
+    errors: bool = False
+    """whether each number is the error reached with the filter gone and all with lower ones, alike in all groups"""
 
     @property
     def dead(self) -> int:
@@ -53,7 +55,9 @@ class GroupRanks:
 
     @property
     def flat(self) -> bool:
-        """Whether the living filters' ranks are so alike that their order means nothing."""
+        """Whether the living filters' ranks are so alike that their order means nothing; errors never are."""
+        if self.errors:
+            return False
         alive = self.rank[self.rank > 0]
         if not len(alive):
             return True
@@ -146,6 +150,8 @@ def _group_to_json(group: GroupRanks) -> dict[str, Any]:
         row["norm"] = _plain(group.norm)
     if group.parts > 1:
         row["parts"] = group.parts
+    if group.errors:
+        row["errors"] = True
     return row
 
 
@@ -170,7 +176,7 @@ def _group_from_json(data: Any, name: str, path: Path) -> GroupRanks:
         for key, value in data.items()
         if isinstance(value, dict) and {"rank", "max"} <= value.keys()
     }
-    return GroupRanks(rank, top, norm, parts, views)
+    return GroupRanks(rank, top, norm, parts, views, data.get("errors") is True)
 
 
 def _numbers(values: Any, what: str, path: Path) -> NDArray[np.float64]:

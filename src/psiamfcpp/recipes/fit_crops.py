@@ -7,18 +7,20 @@ from collections.abc import Iterator
 from torch import Tensor
 
 from psiamfcpp.datasets import Sequence
+from psiamfcpp.spec import ModelSpec
 from psiamfcpp.training.batches import collate
 from psiamfcpp.training.options import PairOptions
 from psiamfcpp.training.pairs import PairSampler
 
 
-def plain_pairs(sequences: list[Sequence], search_size: int, seed: int) -> PairSampler:
-    """Return pairs of a template crop and a search crop of ``search_size`` pixels, by number.
+def plain_pairs(sequences: list[Sequence], spec: ModelSpec, seed: int) -> PairSampler:
+    """Return pairs of a template crop and a search crop as a model of a spec takes them, by number.
 
     Raises:
         UserError: there is nothing to draw from.
     """
-    return PairSampler(sequences, PairOptions(search_size=search_size, augmentation=0.0), seed, cache_bytes=10**9)
+    options = PairOptions(search_size=spec.search_size, augmentation=0.0)
+    return PairSampler(sequences, options, seed, cache_bytes=10**9, arch=spec.arch)
 
 
 def batches(pairs: PairSampler, start: int, end: int, batch: int) -> Iterator[tuple[Tensor, Tensor]]:

@@ -72,6 +72,7 @@ def plan(
     target_macs: float | None = None,
     target_latency: float | None = None,
     flat: bool = False,
+    multiple: int = 1,
     search_size: int | None = None,
     timing: Timing = Timing(),
     watch: Watch = QUIET,
@@ -87,6 +88,7 @@ def plan(
         target_macs: share of the multiply-accumulates of a search crop to come down to, at the smallest loss of score.
         target_latency: milliseconds that a search crop may take on this machine; likewise.
         flat: let ``remove`` and the targets prune groups with flat scores too, by weight norm.
+        multiple: with a target: number whose multiples the widths of pruned groups are.
         search_size: side of the search crop to count and to time at; by default that of the table's model.
         timing: how candidates are run to be timed.
         watch: is told of each time.
@@ -99,6 +101,8 @@ def plan(
         raise UserError(
             "give exactly one of --preset, --keep, --remove, --threshold, --target-macs and --target-latency"
         )
+    if multiple < 1:
+        raise UserError(f"multiple is {multiple}: it must be at least 1")
     spec = spec_of(table, search_size)
     times = None
     if preset is not None:
@@ -116,10 +120,10 @@ def plan(
             raise UserError(
                 f"the share of multiply-accumulates is {target_macs:g}: it must lie above 0 and be at most 1"
             )
-        chosen = _at(table, spec, target_macs, flat)
+        chosen = _at(table, spec, target_macs, flat, multiple)
     elif target_latency is not None:
         watch.note(f"timing {timing}, with weights at random: what `psiamfcpp export` would write")
-        chosen, found = _within_time(table, spec, target_latency, flat, timing, watch)
+        chosen, found = _within_time(table, spec, target_latency, flat, multiple, timing, watch)
         times = {**found, **dataclasses.asdict(timing), "threads": timing.threads or usable_cores()}
     else:
         chosen = planning.plan(table, keep, threshold)
@@ -156,29 +160,29 @@ def milliseconds(spec: ModelSpec, timing: Timing) -> float:
         return search_milliseconds(open_engine(folder, timing.engine, timing.threads))
 
 
-def _at(table: RankTable, spec: ModelSpec, share: float, flat: bool) -> Plan:
+def _at(table: RankTable, spec: ModelSpec, share: float, flat: bool, multiple: int) -> Plan:
     """The plan that meets a share of the multiply-accumulates."""
 
     def cost(widths: Mapping[str, int]) -> int:
         return spec.arch.macs(widths, spec.search_size)
 
-    return plan_for_budget(table, cost, share * search_macs(spec), flat)
+    return plan_for_budget(table, cost, share * search_macs(spec), flat, multiple)
 
 
 def _within_time(
-    table: RankTable, spec: ModelSpec, limit: float, flat: bool, timing: Timing, watch: Watch
+    table: RankTable, spec: ModelSpec, limit: float, flat: bool, multiple: int, timing: Timing, watch: Watch
 ) -> tuple[Plan, dict[str, float]]:
     """The plan with the largest share of multiply-accumulates, to a 64th, that is quick enough when measured."""
     whole = milliseconds(spec, timing)
     watch.note(f"unpruned: {whole:.2f} ms")
     if whole <= limit:
-        return _at(table, spec, 1.0, flat), {"before": whole, "after": whole}
+        return _at(table, spec, 1.0, flat, multiple), {"before": whole, "after": whole}
     low, high, fastest = 0.0, 1.0, whole
     chosen: Plan | None = None
     for _ in range(6):
         share = (low + high) / 2
         try:
-            candidate = _at(table, spec, share, flat)
+            candidate = _at(table, spec, share, flat, multiple)
         except UserError:
             low = share  # no plan is as small as that
             continue

@@ -83,7 +83,7 @@ def prune(
     }
     if data:
         choice = DataChoice(tuple(data), held_out_every)
-        pairs = plain_pairs(choice.training, before.spec.search_size, seed)
+        pairs = plain_pairs(choice.training, before.spec, seed)
         crops, groups = list(batches(pairs, 0, images, _BATCH)), groups_of(before.spec)
         after = refit(after, before, chosen, crops, groups, lambda names: watch.track(names, "layers"))
         step["refit"] = {"data": choice.named, "images": images, "seed": seed, "held_out_every": held_out_every}

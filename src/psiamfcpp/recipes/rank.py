@@ -66,7 +66,7 @@ def rank(
         raise UserError(f"output {output} must be a .json file in a folder that exists")
     network, choice = load(model), DataChoice(tuple(data), held_out_every)
     sequences = choice.training
-    pairs = plain_pairs(sequences, network.spec.search_size, seed)
+    pairs = plain_pairs(sequences, network.spec, seed)
     groups = groups_of(network.spec)
     about = {
         "model": Path(model).stem,

@@ -12,15 +12,25 @@ from psiamfcpp.datasets import Sequence
 from psiamfcpp.datasets.choice import DataChoice
 from psiamfcpp.errors import UserError
 from psiamfcpp.models import Network, load
-from psiamfcpp.models.network import trainable
-from psiamfcpp.pruning.criteria import Context, Criterion, find_criterion, gradients_of, score_table
+from psiamfcpp.pruning.criteria import (
+    WITH_LOSS,
+    WITH_MAPS,
+    Context,
+    Criterion,
+    find_criterion,
+    gradients_of,
+    score_table,
+)
 from psiamfcpp.pruning.models import example_inputs, groups_of
 from psiamfcpp.pruning.table import RankTable
+from psiamfcpp.recipes.fit_crops import batches, plain_pairs
 from psiamfcpp.training.loop import PairLoss
 from psiamfcpp.training.options import PairOptions, TrainOptions
 from psiamfcpp.training.validation import held_out_batches
 
 _BATCHES = 8
+# Pairs of a batch whose maps are looked at.
+_PAIRS = 4
 
 
 def score_model(
@@ -29,6 +39,8 @@ def score_model(
     *,
     ranks: Path | None = None,
     data: Several[str] = (),
+    images: int = 100,
+    seed: int = 0,
     held_out_every: int = 8,
 ) -> RankTable:
     """Score the filters of a model by a criterion.
@@ -38,7 +50,10 @@ def score_model(
         criterion: a name of `psiamfcpp.pruning.CRITERIA`, ``MODULE:FUNCTION``, or a function
             ``f(group, context) -> scores (n,)``.
         ranks: the model's rank table, for criteria that use it.
-        data: sets, each LAYOUT:FOLDER, to run the training loss backward on, for criteria that use gradients.
+        data: sets, each LAYOUT:FOLDER, to run the training loss backward on, for criteria that use gradients, or to
+            draw crops from, for those that look at maps.
+        images: pairs of crops for criteria that look at maps, drawn as by `psiamfcpp.recipes.rank.rank`.
+        seed: of that draw.
         held_out_every: the N of training: one clip in N is not drawn from; 0 draws from all.
 
     Returns:
@@ -49,18 +64,16 @@ def score_model(
     """
     network = model if isinstance(model, Network) else load(model)
     function = find_criterion(criterion) if isinstance(criterion, str) else criterion
-    options = TrainOptions(pairs=PairOptions(search_size=network.spec.search_size))
+    context = Context(network, example_inputs(network.spec), read_ranks(ranks, network) if ranks else None)
     sequences = DataChoice(tuple(data), held_out_every).training if data else []
-    table = score_table(
-        groups_of(network.spec),
-        Context(
-            network,
-            example_inputs(network.spec),
-            read_ranks(ranks, network) if ranks else None,
-            loss_gradients(network, sequences, options) if sequences else None,
-        ),
-        function,
-    )
+    # A function of the user's may look at both.
+    if sequences and criterion not in WITH_MAPS:
+        options = TrainOptions(pairs=PairOptions(search_size=network.spec.search_size))
+        context = dataclasses.replace(context, gradients=loss_gradients(network, sequences, options))
+    if sequences and criterion not in WITH_LOSS:
+        pairs = plain_pairs(sequences, network.spec, seed)
+        context = dataclasses.replace(context, batches=list(batches(pairs, 0, images, _PAIRS)))
+    table = score_table(groups_of(network.spec), context, function)
     about = {
         "criterion": criterion if isinstance(criterion, str) else criterion.__name__,
         "architecture": network.spec.architecture,
@@ -90,8 +103,9 @@ def loss_gradients(network: Network, sequences: list[Sequence], options: TrainOp
         options: losses, pairs and batch of training.
     """
     network.zero_grad()
-    loss = PairLoss(trainable(network), options.losses)
-    for batch in held_out_batches(sequences, options.pairs, _BATCHES * options.batch, options.batch):
+    loss = PairLoss(network, options.losses)
+    drawn = held_out_batches(sequences, options.pairs, _BATCHES * options.batch, options.batch, arch=network.spec.arch)
+    for batch in drawn:
         loss(batch)["total"].backward()
     found = gradients_of(network)
     network.zero_grad()

@@ -20,7 +20,6 @@ from psiamfcpp.evaluation.ope import mean_over
 from psiamfcpp.models import Network, load, save
 from psiamfcpp.models.checkpoint import read
 from psiamfcpp.models.cost import count_parameters, search_macs
-from psiamfcpp.models.network import trainable
 from psiamfcpp.pruning.criteria import CRITERIA, WITH_LOSS, Context, find_criterion, score_table
 from psiamfcpp.pruning.models import example_inputs, groups_of, prune_model
 from psiamfcpp.pruning.planning import choose, kept_count, plan
@@ -183,7 +182,7 @@ def measure(setup: Setup, cell: Cell, folder: Path) -> dict[str, Any]:
     if cell.tuned:
         sequences = DataChoice(setup.data).training
         quiet = RunOptions(workers=0, cache_gb=1.0, save_every=100)
-        for _ in train(trainable(network), sequences, [], run, setup.options, quiet):
+        for _ in train(network, sequences, [], run, setup.options, quiet):
             pass
         network = load(run / MODEL_FILE)
     else:

@@ -16,7 +16,7 @@ from psiamfcpp.watch import QUIET, Watch
 from psiamfcpp.zoo import weights_path
 
 if TYPE_CHECKING:
-    from psiamfcpp.models import SiamFCpp
+    from psiamfcpp.models import Network
 
 _OPTIONS, _RUN = TrainOptions(), RunOptions()
 
@@ -76,16 +76,15 @@ def train(
     return output / MODEL_FILE
 
 
-def _start(init: Path, seed: int) -> SiamFCpp:
+def _start(init: Path, seed: int) -> Network:
     """The network to begin with, from a checkpoint or from ImageNet features."""
     from psiamfcpp.models import SiamFCpp, load
     from psiamfcpp.models.alexnet import init_backbone, is_alexnet
     from psiamfcpp.models.initial import init_neck_and_head
-    from psiamfcpp.models.network import trainable
 
     path = weights_path(init)
     if not is_alexnet(path):
-        return trainable(load(path))
+        return load(path)
     model = SiamFCpp()
     init_backbone(model, path, seed)
     init_neck_and_head(model, seed)

@@ -27,7 +27,9 @@ def draw_curve(log: Path, picture: Path) -> None:
     try:
         rows = [json.loads(line) for line in log.read_text().splitlines()]
         steps = [r["step"] for r in rows]
-        parts = {name: [r[name] for r in rows] for name in ("cls", "centerness", "iou")}
+        known = ("cls", "centerness", "iou", "teacher")
+        parts = {name: [r[name] for r in rows] for name in known if any(name in r for r in rows)}
+        parts = parts or {"total": [r["total"] for r in rows]}
         checks = [(r["step"], r["validation"]) for r in rows if "validation" in r]
         shares = {
             name: [v[name] for _, v in checks] for name in ("within8", "within16", "overlap", "score", "separation")

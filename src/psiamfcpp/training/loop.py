@@ -25,15 +25,15 @@ from psiamfcpp.datasets.frames import FrameStore
 from psiamfcpp.errors import UserError
 from psiamfcpp.files import write_whole, writing
 from psiamfcpp.machine import has_bf16
+from psiamfcpp.models.arch import opened
 from psiamfcpp.models.checkpoint import save
-from psiamfcpp.models.network import SiamFCpp
+from psiamfcpp.models.network import Network
 from psiamfcpp.training.batches import Batch, numbered_batches
-from psiamfcpp.training.losses import losses
+from psiamfcpp.training.objective import Objective
 from psiamfcpp.training.options import LossWeights, RunOptions, TeacherOptions, TrainOptions
 from psiamfcpp.training.pairs import PairSampler
-from psiamfcpp.training.stored import StoredMaps, on_cells, stored_loss
-from psiamfcpp.training.targets import assign
-from psiamfcpp.training.teacher import Teacher, answer, feature_loss, open_teacher, teacher_loss
+from psiamfcpp.training.stored import StoredMaps
+from psiamfcpp.training.teacher import Teacher, answer, feature_loss, open_teacher
 from psiamfcpp.training.validation import held_out_batches, pair_score
 
 STATE_FILE = "state.pt"
@@ -47,13 +47,14 @@ class PairLoss(nn.Module):
 
     def __init__(
         self,
-        model: SiamFCpp,
+        model: Network,
         weights: LossWeights,
         teacher: Teacher | None = None,
         taught: TeacherOptions = _ALONE,
     ):
         super().__init__()
         self.model = model
+        self._objective: Objective = opened(model.spec.arch.objective)
         self._weights = weights
         self._teacher = teacher
         self._taught = taught
@@ -61,26 +62,22 @@ class PairLoss(nn.Module):
     def forward(self, batch: Batch) -> dict[str, Tensor]:
         """The losses of a batch."""
         found = answer(self.model, batch)
-        targets = assign(batch.corners, batch.present, batch.search.shape[1], found.maps[0].shape[1])
-        parts = losses(found.maps, targets, self._weights)
+        parts = self._objective.labelled(found.maps, batch, self._weights)
         if self._teacher:
             wanted = self._teacher(batch)
-            parts["teacher"] = teacher_loss(found.maps, wanted.maps, targets.positive)
+            parts["teacher"] = self._objective.taught(found.maps, wanted.maps, batch)
             parts["total"] = parts["total"] + self._taught.teacher_weight * parts["teacher"]
             if self._taught.teacher_features:
                 parts["features"] = feature_loss(found, wanted)
                 parts["total"] = parts["total"] + self._taught.teacher_features * parts["features"]
-        if batch.said is not None:
-            scores, sides, corners, trust = batch.said
-            size = batch.search.shape[1]
-            stored = on_cells(scores, sides, size, found.maps[0].shape[1])
-            parts["stored"] = stored_loss(found.maps, stored, corners, trust, targets.positive, size)
+        if batch.said is not None and self._objective.stored:
+            parts["stored"] = self._objective.stored(found.maps, batch)
             parts["total"] = parts["total"] + self._taught.stored_weight * parts["stored"]
         return parts
 
 
 def train(
-    model: SiamFCpp,
+    model: Network,
     training: list[Sequence],
     held_out: list[Sequence],
     output: Path,
@@ -112,7 +109,14 @@ def train(
         torch.device("cuda", int(os.environ.get("LOCAL_RANK", 0))) if torch.cuda.is_available() else torch.device("cpu")
     )
     model.to(device).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
-    teacher = open_teacher(options.teacher.teacher, device) if options.teacher.teacher else None
+    arch = model.spec.arch
+    if options.teacher.stored and opened(arch.objective).stored is None:
+        raise UserError(
+            f"a model of architecture {model.spec.architecture} cannot learn from stored maps: use --teacher"
+        )
+    teacher = None
+    if options.teacher.teacher:
+        teacher = open_teacher(options.teacher.teacher, device, model.spec.architecture)
     try:
         output.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -122,8 +126,8 @@ def train(
     start = _resume(output / STATE_FILE, model, mean, optimizer, options) or run.first_step
     if run.compile:
         # The parts and not the losses, which are made anew whenever another set of layers is free.
-        model.backbone.compile()
-        model.head.compile()
+        for part in model.children():
+            part.compile()
     stored = StoredMaps(Path(options.teacher.stored), options.pairs, options.seed) if options.teacher.stored else None
     if ranks > 1 and options.schedule.low_every > 1:
         raise UserError("low-every needs one process: under torchrun, leave it at 1")
@@ -131,9 +135,9 @@ def train(
         _truncate_log(output / LOG_FILE, start)
 
     store = FrameStore(Path(run.frames) if run.frames else output / "frames")
-    sampler = PairSampler(training, options.pairs, options.seed, int(run.cache_gb * 1e9), store)
+    sampler = PairSampler(training, options.pairs, options.seed, int(run.cache_gb * 1e9), store, arch)
     validation = (
-        held_out_batches(held_out, options.pairs, run.validation_pairs, options.batch, store)
+        held_out_batches(held_out, options.pairs, run.validation_pairs, options.batch, store, arch)
         if held_out and rank == 0
         else []
     )
@@ -226,7 +230,7 @@ def _join_processes() -> tuple[int, int]:
     return dist.get_rank(), dist.get_world_size()
 
 
-def _optimizer(model: SiamFCpp, options: TrainOptions) -> torch.optim.Optimizer:
+def _optimizer(model: Network, options: TrainOptions) -> torch.optim.Optimizer:
     """Weights decay, biases and BatchNorm do not; the backbone's rate is a share of the others'."""
     groups: dict[tuple[float, float], list[nn.Parameter]] = {}
     backbone = {id(parameter) for parameter in model.backbone.parameters()}
@@ -241,22 +245,24 @@ def _optimizer(model: SiamFCpp, options: TrainOptions) -> torch.optim.Optimizer:
 
 
 def _thaw(
-    model: SiamFCpp, free: frozenset[str], options: TrainOptions, teacher: Teacher | None, ranks: int
+    model: Network, free: frozenset[str], options: TrainOptions, teacher: Teacher | None, ranks: int
 ) -> nn.Module:
     """Let gradients into the free backbone layers only; DDP must be wrapped anew when that set changes.
 
-    The backbone's BatchNorm keeps its statistics throughout: it starts as the identity, and batches are small.
+    Layers for which the table names no share of the run are always free. The backbone's BatchNorm keeps its statistics
+    throughout: it starts as the identity, and batches are small.
     """
     model.train()
     model.backbone.eval()
+    frozen = model.spec.arch.unfreeze.keys() - free
     for name, layer in model.backbone.named_children():
-        layer.requires_grad_(name in free)
+        layer.requires_grad_(name not in frozen)
     loss = PairLoss(model, options.losses, teacher, options.teacher)
     return nn.parallel.DistributedDataParallel(loss) if ranks > 1 else loss
 
 
 @torch.no_grad()
-def _follow(mean: SiamFCpp, model: SiamFCpp, decay: float) -> None:
+def _follow(mean: Network, model: Network, decay: float) -> None:
     """Move the mean weights towards the model's."""
     for old, new in zip(mean.state_dict().values(), model.state_dict().values(), strict=True):
         if new.is_floating_point():
@@ -267,8 +273,8 @@ def _follow(mean: SiamFCpp, model: SiamFCpp, decay: float) -> None:
 
 def _save(
     output: Path,
-    model: SiamFCpp,
-    mean: SiamFCpp,
+    model: Network,
+    mean: Network,
     optimizer: torch.optim.Optimizer,
     step: int,
     options: TrainOptions,
@@ -290,8 +296,8 @@ def _save(
 
 def _resume(
     path: Path,
-    model: SiamFCpp,
-    mean: SiamFCpp,
+    model: Network,
+    mean: Network,
     optimizer: torch.optim.Optimizer,
     options: TrainOptions,
 ) -> int:

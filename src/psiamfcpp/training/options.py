@@ -8,7 +8,17 @@ from typing import Literal
 
 from psiamfcpp.errors import UserError
 from psiamfcpp.models.arch import ARCHITECTURES, DEFAULT, architecture
-from psiamfcpp.spec import score_size
+
+
+def _check_size(size: int) -> None:
+    """Refuse a search size that no architecture takes; that of the network is compared when it is known."""
+    for name in ARCHITECTURES:
+        try:
+            architecture(name).score_size(size)
+        except UserError:
+            continue
+        return
+    architecture(DEFAULT).score_size(size)
 
 
 @dataclass(frozen=True)
@@ -31,7 +41,7 @@ class PairOptions:
     """strength of colour, blur, grey, rotation, occlusion and what is pasted in; 0 is none"""
 
     def __post_init__(self) -> None:
-        score_size(self.search_size)
+        _check_size(self.search_size)
         for name in ("negatives", "clip_share", "augmentation", "shift"):
             if not 0 <= getattr(self, name) <= 1:
                 raise UserError(f"{name.replace('_', '-')} is {getattr(self, name):g}: it must lie in 0..1")

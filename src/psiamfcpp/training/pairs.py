@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections import OrderedDict, defaultdict
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import cv2
@@ -14,16 +15,18 @@ import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
-from psiamfcpp.crop import Colour, crop, mean_colour, warp
+from psiamfcpp.crop import Colour, crop, warp
 from psiamfcpp.datasets import Sequence
 from psiamfcpp.datasets.frames import Frame, FrameStore
 from psiamfcpp.errors import UserError
-from psiamfcpp.geometry import FloatArray, Image, centre, context_side
-from psiamfcpp.spec import STRIDE, TEMPLATE_SIZE, score_size
+from psiamfcpp.geometry import FloatArray, Image, centre
+from psiamfcpp.models.arch import DEFAULT, Architecture, architecture, opened
 from psiamfcpp.training import augment
 from psiamfcpp.training.options import PairOptions
 
 Corners = tuple[float, float, float, float]
+
+_DEFAULT = architecture(DEFAULT)
 
 # Objects with a smaller geometric mean side hold too few pixels to be told from their surroundings.
 _SMALLEST_SIDE = 5.0
@@ -34,7 +37,7 @@ class Pair:
     """One sample."""
 
     template: Image
-    """``(127, 127, 3)`` uint8, BGR"""
+    """``(Z, Z, 3)`` uint8, BGR"""
     search: Image
     """``(S, S, 3)`` uint8, BGR"""
     corners: Corners
@@ -59,6 +62,7 @@ class PairSampler:
         seed: int = 0,
         cache_bytes: int = 0,
         store: FrameStore | None = None,
+        arch: Architecture = _DEFAULT,
     ):
         """Prepare to draw.
 
@@ -68,13 +72,16 @@ class PairSampler:
             seed: seed of every pair.
             cache_bytes: decoded images kept in memory, bytes.
             store: where frames of videos are decoded to; by default a temporary folder.
+            arch: architecture whose crops to make.
 
         Raises:
-            UserError: no sequence has a usable box.
+            UserError: no sequence has a usable box, or the architecture takes no search crops of the size.
         """
         self.options = options
         self.seed = seed
-        self._images = ImageCache(cache_bytes, store or FrameStore())
+        self._arch = arch
+        self._reach = (arch.score_size(options.search_size) + 1) / 2 * arch.stride
+        self._images = ImageCache(cache_bytes, store or FrameStore(), opened(arch.procedure).fill)
         targets = [t for t in (_Target(s, _usable_rows(s)) for s in sequences) if len(t.rows)]
         if not targets:
             raise UserError("the training data hold no usable box: check the folders given")
@@ -120,11 +127,12 @@ class PairSampler:
         z_frame, z_box = target.at(first)
         x_frame, x_box = other.at(row)
         flip = -1.0 if rng.random() < 0.5 and strength else 1.0
-        z_map = crop_map(z_box, TEMPLATE_SIZE, _template_jitter(strength, flip, rng))
-        template = self._show(z_frame, z_map, TEMPLATE_SIZE, rng)
+        z_size = self._arch.template_size
+        z_map = crop_map(z_box, z_size, _template_jitter(strength, flip, rng), self._arch)
+        template = self._show(z_frame, z_map, z_size, rng)
         if rng.random() < 0.1 * strength:
-            template = augment.transplant(template, box_in_crop(z_box, z_map), self._backdrop(TEMPLATE_SIZE, rng))
-        x_map = crop_map(x_box, size, _search_jitter(self.options, target.is_clip, flip, rng))
+            template = augment.transplant(template, box_in_crop(z_box, z_map), self._backdrop(z_size, rng))
+        x_map = crop_map(x_box, size, _search_jitter(self.options, self._reach, target.is_clip, flip, rng), self._arch)
         search = self._show(x_frame, x_map, size, rng)
         corners = box_in_crop(target.at(row)[1] if present else x_box, x_map)
         if strength:
@@ -165,7 +173,8 @@ class PairSampler:
         frame, box = other.at(_pick(other.rows, rng))
         size = search.shape[0]
         dx, dy = rng.uniform(-size / 2, size / 2, 2)
-        to_frame = crop_map(box, size, Jitter(dx, dy, math.exp(rng.uniform(-0.4, 0.4)), rng.choice([-1.0, 1.0])))
+        jitter = Jitter(dx, dy, math.exp(rng.uniform(-0.4, 0.4)), rng.choice([-1.0, 1.0]))
+        to_frame = crop_map(box, size, jitter, self._arch)
         x0, y0, x1, y1 = place = box_in_crop(box, to_frame)
         if x0 < corners[2] and x1 > corners[0] and y0 < corners[3] and y1 > corners[1]:
             return search
@@ -256,12 +265,12 @@ def _template_jitter(strength: float, flip: float, rng: Generator) -> Jitter:
     return Jitter(dx, dy, math.exp(rng.uniform(-0.06, 0.06) * strength), flip)
 
 
-def _search_jitter(options: PairOptions, is_clip: bool, flip: float, rng: Generator) -> Jitter:
+def _search_jitter(options: PairOptions, reach: float, is_clip: bool, flip: float, rng: Generator) -> Jitter:
     """Shift within the score map's reach, and scale; turn mostly where both crops show the same picture."""
     # From above, targets turn as far as they like; most other changes of a camera's roll are small.
     turned = rng.random() < (0.3 if is_clip else 0.5)
     turn = rng.uniform(-np.pi / 2, np.pi / 2) if rng.random() < 0.2 else rng.normal(0, 0.22)
-    reach = min(options.shift * options.search_size / 2, (score_size(options.search_size) + 1) / 2 * STRIDE)
+    reach = min(options.shift * options.search_size / 2, reach)
     dx, dy = rng.uniform(-reach, reach, 2)
     return Jitter(
         dx,
@@ -273,15 +282,15 @@ def _search_jitter(options: PairOptions, is_clip: bool, flip: float, rng: Genera
     )
 
 
-def crop_map(box: FloatArray, size: int, jitter: Jitter) -> NDArray[np.float64]:
+def crop_map(box: FloatArray, size: int, jitter: Jitter, arch: Architecture = _DEFAULT) -> NDArray[np.float64]:
     """The 2x3 map from pixels of a crop of ``size`` to the frame that shows a box with its context.
 
-    With no jitter this is the crop of the tracking procedure before its side is rounded: context of one side to 127
-    pixels of template.
+    With no jitter this is the crop of the tracking procedure before its side is rounded: for SiamFC++, context of one
+    side to 127 pixels of template.
     """
     cx, cy = centre(box)
-    side = context_side(float(box[2]), float(box[3])) * size / TEMPLATE_SIZE
-    scale = (side - 1) / (size - 1) / jitter.scale
+    side = arch.context(float(box[2]), float(box[3])) * size / arch.template_size
+    scale = (side - arch.edge) / (size - arch.edge) / jitter.scale
     cos, sin = math.cos(jitter.angle), math.sin(jitter.angle)
     linear = scale * np.array([[cos, -sin], [sin, cos]]) @ np.diag([jitter.flip / jitter.aspect, jitter.aspect])
     middle = (size - 1) / 2 + np.array([jitter.dx, jitter.dy])
@@ -301,21 +310,22 @@ def box_in_crop(box: FloatArray, to_frame: NDArray[np.float64]) -> Corners:
 
 
 class ImageCache:
-    """Keeps decoded images, with their mean colours, up to a number of bytes, dropping those unused for longest."""
+    """Keeps decoded images, with what is shown beyond them, up to a number of bytes; oldest use is dropped first."""
 
-    def __init__(self, limit: int, store: FrameStore):
+    def __init__(self, limit: int, store: FrameStore, fill: Callable[[Image], Colour]):
         self._limit = limit
         self._store = store
+        self._fill = fill
         self._held: OrderedDict[Frame, tuple[Image, Colour]] = OrderedDict()
         self._bytes = 0
 
     def get(self, frame: Frame) -> tuple[Image, Colour]:
-        """A frame, ``(H, W, 3)`` uint8, BGR, not to be written to; and its mean colour."""
+        """A frame, ``(H, W, 3)`` uint8, BGR, not to be written to; and the colour of what lies outside it."""
         if frame in self._held:
             self._held.move_to_end(frame)
             return self._held[frame]
         image = self._store.read(frame)
-        self._held[frame] = found = image, mean_colour(image)
+        self._held[frame] = found = image, self._fill(image)
         self._bytes += image.nbytes
         while self._bytes > self._limit and self._held:
             self._bytes -= self._held.popitem(last=False)[1][0].nbytes

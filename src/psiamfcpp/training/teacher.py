@@ -11,7 +11,8 @@ from torch import Tensor
 
 from psiamfcpp.errors import UserError
 from psiamfcpp.models import load
-from psiamfcpp.models.network import Maps, SiamFCpp, trainable
+from psiamfcpp.models.arch import DEFAULT
+from psiamfcpp.models.network import Maps, Network
 from psiamfcpp.training.batches import Batch
 from psiamfcpp.training.losses import iou
 
@@ -24,25 +25,31 @@ class Answer(NamedTuple):
     search: Tensor
     """and of the search crops"""
     maps: Maps
-    """class and centre-ness logits and distances, as of `SiamFCpp.maps`"""
+    """as of the network's ``maps``: for SiamFC++ class and centre-ness logits and distances"""
 
 
 Teacher = Callable[[Batch], Answer]
 
 
-def answer(model: SiamFCpp, batch: Batch) -> Answer:
+def answer(model: Network, batch: Batch) -> Answer:
     """One pass of a batch."""
-    template, search = model.backbone(batch.template_input()), model.backbone(batch.search_input())
+    template, search = model.features(batch.template_input()), model.features(batch.search_input())
     return Answer(template, search, model.maps(search, model.kernels(template)))
 
 
-def open_teacher(path_or_name: str, device: torch.device) -> Teacher:
-    """A function from a batch to what a model makes of it.
+def open_teacher(path_or_name: str, device: torch.device, architecture: str = DEFAULT) -> Teacher:
+    """A function from a batch to what a model of an architecture makes of it.
 
     Raises:
-        UserError: no such model.
+        UserError: no such model, or it is of another architecture.
     """
-    model = trainable(load(path_or_name)).to(device).requires_grad_(False)
+    model = load(path_or_name)
+    if model.spec.architecture != architecture:
+        raise UserError(
+            f"teacher {path_or_name} is of architecture {model.spec.architecture}, whose maps differ from those of "
+            f"{architecture}: give a {architecture}"
+        )
+    model.to(device).requires_grad_(False)
     model.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
 
     @torch.no_grad()

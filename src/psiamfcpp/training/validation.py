@@ -13,7 +13,8 @@ from torch import Tensor
 from psiamfcpp.datasets import Sequence
 from psiamfcpp.datasets.frames import FrameStore
 from psiamfcpp.geometry import from_corners, overlap
-from psiamfcpp.models.network import SiamFCpp
+from psiamfcpp.models.arch import DEFAULT, Architecture, architecture
+from psiamfcpp.models.network import Network
 from psiamfcpp.training.batches import Batch, collate
 from psiamfcpp.training.options import PairOptions
 from psiamfcpp.training.pairs import PairSampler
@@ -36,16 +37,21 @@ class PairScore:
 
 
 def held_out_batches(
-    sequences: list[Sequence], options: PairOptions, count: int, batch: int, store: FrameStore | None = None
+    sequences: list[Sequence],
+    options: PairOptions,
+    count: int,
+    batch: int,
+    store: FrameStore | None = None,
+    arch: Architecture = architecture(DEFAULT),  # noqa: B008 - frozen
 ) -> list[Batch]:
     """``count`` fixed pairs without augmentation, a fifth of them negative ones; `PairSampler` has the store."""
     plain = dataclasses.replace(options, augmentation=0.0, negatives=0.2)
-    sampler = PairSampler(sequences, plain, seed=1, store=store)
+    sampler = PairSampler(sequences, plain, seed=1, store=store, arch=arch)
     return [collate([sampler.pair(i) for i in range(k, min(k + batch, count))]) for k in range(0, count, batch)]
 
 
 @torch.no_grad()
-def pair_score(model: SiamFCpp, batches: Iterable[Batch], bf16: bool = False) -> PairScore:
+def pair_score(model: Network, batches: Iterable[Batch], bf16: bool = False) -> PairScore:
     """The pair score of a network, put into evaluation mode for it and back."""
     # Mode by mode: while training, the backbone is in evaluation mode and the rest is not.
     modes = {module: module.training for module in model.modules()}
