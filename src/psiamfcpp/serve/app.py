@@ -6,7 +6,6 @@ import contextlib
 import secrets
 from collections.abc import AsyncIterator, Callable
 from concurrent.futures import ThreadPoolExecutor
-from importlib import resources
 from typing import Annotated, Any
 
 from fastapi import FastAPI, Header, HTTPException, Path, Query, Request, Response, WebSocket
@@ -19,19 +18,12 @@ from psiamfcpp.serve import guard, messages
 from psiamfcpp.serve.control import Control, NotOperatorError, TooManyError
 from psiamfcpp.serve.follower import BusyError
 from psiamfcpp.serve.live import MAX_CLIENTS, Client, Room, start
+from psiamfcpp.serve.pages import HEADERS, add_files
 from psiamfcpp.serve.pictures import Pictures, annotated, plain
 from psiamfcpp.version import __version__
 
 _BOUNDARY = "frame"
-_PAGE = {"": "text/html", "page.js": "text/javascript", "page.css": "text/css"}
-# Nothing from elsewhere is loaded, and no other page may frame this one.
-_HEADERS = {
-    "Content-Security-Policy": "default-src 'self'; img-src 'self' blob: data:; connect-src 'self'; "
-    "frame-ancestors 'none'; base-uri 'none'; form-action 'self'",
-    "X-Content-Type-Options": "nosniff",
-    "Referrer-Policy": "no-referrer",
-    "Cache-Control": "no-store",
-}
+_PAGE = {"/": "index.html", "/page.js": "page.js", "/view.js": "view.js", "/page.css": "page.css"}
 _ABOUT = """
 Follow targets in a live video. Start one with `POST /api/targets`, watch it on the WebSocket `/api/live`.
 
@@ -103,7 +95,7 @@ def build_app(control: Control, *, token: str | None = None, fov: float | None =
     )
     app.state.room = room
     guarded = guard.Guard(app, token)
-    _add_refusals(app)
+    add_refusals(app)
     _add_page(app, guarded)
     _add_commands(app, room)
     _add_views(app, room, Pictures(annotated, executor))
@@ -115,7 +107,9 @@ def build_app(control: Control, *, token: str | None = None, fov: float | None =
     return guarded
 
 
-def _add_refusals(app: FastAPI) -> None:
+def add_refusals(app: FastAPI) -> None:
+    """Have an application answer what it refuses with ``{"error": "one line"}``."""
+
     def refuse(code: int) -> Callable[[Request, Exception], JSONResponse]:
         headers = {"Retry-After": "1"} if code in (429, 503) else {}
         return lambda _, error: JSONResponse({"error": " ".join(str(error).split())}, code, headers)
@@ -139,17 +133,7 @@ def _add_refusals(app: FastAPI) -> None:
 
 
 def _add_page(app: FastAPI, guarded: guard.Guard) -> None:
-    folder = resources.files("psiamfcpp.serve") / "page"
-    texts = {name: (folder / (name or "index.html")).read_text("utf-8") for name in _PAGE}
-
-    def serve(name: str) -> Callable[[], Any]:
-        async def page() -> Response:
-            return Response(texts[name], media_type=_PAGE[name], headers=_HEADERS)
-
-        return page
-
-    for name in _PAGE:
-        app.get(f"/{name}", include_in_schema=False)(serve(name))
+    add_files(app, _PAGE)
 
     @app.post("/api/login", response_model=messages.Done, tags=["access"])
     async def login(body: messages.LoginBody, request: Request, response: Response) -> dict[str, bool]:
@@ -249,14 +233,14 @@ def _add_views(app: FastAPI, room: Room, drawn: Pictures) -> None:
         """The newest frame, as the camera gave it."""
         if follower.newest is None:
             raise BusyError("no frame has come yet: try again")
-        return Response(await room.pictures.get(follower.newest), media_type="image/jpeg", headers=_HEADERS)
+        return Response(await room.pictures.get(follower.newest), media_type="image/jpeg", headers=HEADERS)
 
     @app.get("/api/stream.mjpg", response_class=StreamingResponse, tags=["watching"])
     async def stream() -> StreamingResponse:
         """The frames with boxes drawn, as MJPEG; for players and other programs."""
         _check_room(room)
         kind = f"multipart/x-mixed-replace; boundary={_BOUNDARY}"
-        return StreamingResponse(_parts(room, drawn), media_type=kind, headers=_HEADERS)
+        return StreamingResponse(_parts(room, drawn), media_type=kind, headers=HEADERS)
 
     @app.websocket("/api/live")
     async def live(socket: WebSocket, client: str = "") -> None:

@@ -9,34 +9,37 @@ from pydantic import BaseModel, ConfigDict, Field, TypeAdapter
 # No camera has more pixels a side; beyond, a number is a mistake.
 Number = Annotated[float, Field(allow_inf_nan=False, ge=-1e5, le=1e5)]
 Identifier = Annotated[int, Field(ge=1, le=10**9)]
+FrameNumber = Annotated[int, Field(ge=0, le=10**9)]
 Box = tuple[Number, Number, Number, Number]
 Point = tuple[Number, Number]
 
 
-class _Strict(BaseModel):
+class Strict(BaseModel):
+    """What a client sends: no field that is not known."""
+
     model_config = ConfigDict(extra="forbid")
 
 
-class StartBody(_Strict):
+class StartBody(Strict):
     """A target: its box, or a point on it. Pixels of the frame, 0-based."""
 
     box: Box | None = Field(None, description="x, y, w, h")
     point: Point | None = Field(None, description="x, y; a box is proposed there")
 
 
-class PointBody(_Strict):
+class PointBody(Strict):
     """A point of the frame."""
 
     point: Point = Field(description="x, y in pixels, 0-based")
 
 
-class SelectBody(_Strict):
+class SelectBody(Strict):
     """A choice among the targets."""
 
     id: Identifier
 
 
-class LoginBody(_Strict):
+class LoginBody(Strict):
     """The token that the server was started with."""
 
     token: str = Field(max_length=1000)
@@ -117,7 +120,7 @@ class Refusal(BaseModel):
     error: str
 
 
-class FrameWish(_Strict):
+class FrameWish(Strict):
     """Send the JPEG of the next frame that I have not had."""
 
     type: Literal["frame"]
@@ -130,7 +133,7 @@ class StartMessage(StartBody):
     request: int | None = None
 
 
-class StopMessage(_Strict):
+class StopMessage(Strict):
     """Let a target go; without an id, all."""
 
     type: Literal["stop"]
@@ -152,7 +155,7 @@ class ProposeMessage(PointBody):
     request: int | None = None
 
 
-class OperatorMessage(_Strict):
+class OperatorMessage(Strict):
     """Take control, or hand it over."""
 
     type: Literal["operator"]
@@ -160,7 +163,7 @@ class OperatorMessage(_Strict):
     request: int | None = None
 
 
-class RecordMessage(_Strict):
+class RecordMessage(Strict):
     """Begin or end a recording."""
 
     type: Literal["record"]

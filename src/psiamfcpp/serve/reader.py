@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable
+from pathlib import Path
 
 from psiamfcpp.errors import UserError
 from psiamfcpp.geometry import Image
@@ -106,3 +107,8 @@ class Reader:
                 self._replayed()
                 self._tell(f"{self.name} starts again")
             return self._source
+
+
+def short_name(source: Source) -> str:
+    """What clients are told of a source: the name of a file or folder without its path."""
+    return source.name if source.live else Path(source.name).name or Path(source.name).resolve().name
