@@ -287,7 +287,10 @@ class _Desk:
     def choose(self, number: int, boxes: list[Box]) -> None:
         """End the page with these boxes."""
         image = self.frames.image(number)
-        self.chosen = number, [check_box(box, image.shape) for box in boxes]
+        for box in boxes:
+            check_box(box, image.shape)
+        # as they are printed, so that the same command again follows the same boxes
+        self.chosen = number, [(round(x, 1), round(y, 1), round(w, 1), round(h, 1)) for x, y, w, h in boxes]
 
 
 class _HoldBody(messages.Strict):
