@@ -65,7 +65,8 @@ class Choosing:
         where = urlsplit(self.address)
         assert where.hostname == "127.0.0.1"
         self.token = parse_qs(where.query)["token"][0]
-        self.http = httpx.Client(base_url=f"http://{where.netloc}", timeout=60)
+        limits = httpx.Limits(max_keepalive_connections=0)
+        self.http = httpx.Client(base_url=f"http://{where.netloc}", timeout=60, limits=limits)
 
     def enter(self) -> None:
         session = self.http.post("/api/enter", json={"token": self.token}).json()["session"]
