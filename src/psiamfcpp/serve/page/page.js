@@ -191,7 +191,7 @@ function playing(mine) {
   slider.setAttribute("aria-valuetext", time(frame / fps));
   byId("pause").disabled = !mine;
   byId("pause").textContent = state.source.state === "paused" ? "Play" : "Pause";
-  byId("clock").textContent = frames === null ? time(frame / fps) : `${time(frame / fps)} of ${time(frames / fps)}`;
+  byId("clock").textContent = frames === null ? time(frame / fps) : `${time(frame / fps)} / ${time(frames / fps)}`;
 }
 
 function commands(mine) {
