@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import shlex
 import signal
 import subprocess
 import sys
@@ -13,11 +14,14 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 
 import psiamfcpp
 from psiamfcpp import TargetPool
+from psiamfcpp.cli.targets import command_again
+from psiamfcpp.serve.choose import Chosen
 from psiamfcpp.video.source import Source, open_source
 from psiamfcpp.video.writer import VideoWriter
 from psiamfcpp.zoo import DEFAULT_MODEL
@@ -367,8 +371,141 @@ def test_one_wrong_box_among_several_is_refused_before_anything_is_written(
     assert names(outputs) == []
 
 
-def test_without_a_box_it_is_asked_for(run: Run, blob_engine: Any, clip: Path) -> None:
-    assert "--box is missing: give x,y,w,h" in run("track", clip).refused()
+@pytest.mark.parametrize("options", [[], ["--json"]])
+def test_without_a_box_and_a_terminal_both_ways_to_one_are_named(run: Run, clip: Path, options: list[str]) -> None:
+    complaint = run("track", clip, *options).refused()
+    assert "--box is missing: give x,y,w,h" in complaint
+    assert "page" in complaint and "--frame FILE.png" in complaint
+
+
+def test_without_the_extra_the_page_is_not_promised(run: Run, clip: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("sys.stderr.isatty", lambda: True)
+    monkeypatch.setattr("importlib.util.find_spec", lambda _: None)
+    assert "pip install 'psiamfcpp[serve]'" in run("track", clip).refused()
+
+
+def test_what_is_chosen_on_the_page_is_followed_and_printed(
+    run: Run, blob_engine: Any, clip: Path, outputs: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[tuple[str, int]] = []
+
+    def chosen(source: Source, start: int) -> Chosen:
+        next(source)  # the page has read in it
+        asked.append((source.name, start))
+        return Chosen(3, [PATH[3]], source)
+
+    monkeypatch.setattr("psiamfcpp.cli.targets.check_way", lambda *_: None)
+    monkeypatch.setattr("psiamfcpp.cli.track.check_way", lambda *_: None)
+    monkeypatch.setattr("psiamfcpp.serve.choose.choose", chosen)
+    ended = run("track", clip, "--start", "#2", "--boxes", outputs / "b.txt")
+    assert ended.code == 0
+    assert asked == [(str(clip), 2)]
+    assert ended.err.strip() == f"next time: psiamfcpp track {clip} --box 109,83,40,30 --start '#3'"
+    assert read_boxes(outputs / "b.txt") == pytest.approx(np.array(PATH[3:]), abs=2)
+    again = shlex.split(ended.err.partition("psiamfcpp ")[2])
+    assert run(*again, "--boxes", outputs / "again.txt").code == 0
+    assert (outputs / "again.txt").read_text() == (outputs / "b.txt").read_text()
+
+
+def test_a_live_source_goes_on_from_the_frame_that_was_drawn_on(
+    run: Run, blob_engine: Any, blob_frame: Callable[..., Any], outputs: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    camera = Source("camera 0", 30.0, None, True, iter([]), lambda: None)
+    frames = [blob_frame(box) for box in PATH]
+    monkeypatch.setattr("psiamfcpp.cli.track.open_source", lambda *_, **__: camera)
+    monkeypatch.setattr("psiamfcpp.cli.track.check_way", lambda *_: None)
+    monkeypatch.setattr("psiamfcpp.serve.choose.choose", lambda *_: Chosen(712, [PATH[2]], iter(frames[2:])))
+    ended = run("track", "0", "--boxes", outputs / "b.txt")
+    # of something live there is no same frame next time
+    assert (ended.code, ended.err) == (0, "")
+    assert read_boxes(outputs / "b.txt") == pytest.approx(np.array(PATH[2:]), abs=2)
+
+
+@pytest.mark.parametrize(
+    ("given", "kept"),
+    [
+        (["track", "a b.mp4"], "'a b.mp4'"),
+        (["track", "a b.mp4", "--start", "5", "-o", "o.mp4"], "'a b.mp4' -o o.mp4"),
+        (["track", "a b.mp4", "--start=5", "--select"], "'a b.mp4'"),
+        (["-m", "pytest"], "'a b.mp4'"),
+    ],
+)
+def test_the_command_for_next_time_keeps_the_other_options(
+    given: list[str], kept: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("sys.argv", ["psiamfcpp", *given])
+    command = command_again("a b.mp4", [(1, 2, 3, 4), (5, 6, 7.5, 8)], "#7")
+    assert command == f"psiamfcpp track {kept} --box 1,2,3,4 --box 5,6,7.5,8 --start '#7'"
+
+
+def test_a_frame_is_written_with_coordinates(run: Run, clip: Path, outputs: Path) -> None:
+    ended = run("track", clip, "--frame", outputs / "f.png", "--start", "#4", "--box", "112,84,40,30")
+    assert (ended.code, ended.err) == (0, "")
+    assert ended.out == f"frame 4 of {clip}, 320x240, with coordinates: {outputs / 'f.png'}\n"
+    image = cv2.imread(str(outputs / "f.png"))
+    assert image is not None
+    with open_source(clip) as source:
+        frame = list(source)[4]
+    assert image.shape == frame.shape
+    # a line every 50 pixels, and none between the fine ones
+    assert abs(int(image[150, 50, 0]) - int(frame[150, 50, 0])) > 30
+    assert (image[155, 55] == frame[155, 55]).all()
+    # the box, as a check
+    assert tuple(image[100, 112]) == (80, 200, 40)
+    assert names(outputs) == ["f.png"]
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--frame", "f.gif"], "frame f.gif has an unknown format: name it .png or .jpg"),
+        (["--frame", "f.png", "--start", "#99"], "start #99 is after the last frame"),
+        (["--frame", "missing.mp4/f.png"], "cannot be written"),
+    ],
+)
+def test_a_frame_that_cannot_be_written_is_refused(
+    run: Run, clip: Path, outputs: Path, options: list[str], message: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(outputs)
+    (outputs / "missing.mp4").touch()
+    assert message in run("track", clip, *options).refused()
+    assert names(outputs) == ["missing.mp4"]
+
+
+def test_no_frame_replaces_the_source(run: Run, pictures: Path) -> None:
+    before = (pictures / "0.png").read_bytes()
+    assert "is the input" in run("track", pictures, "--frame", pictures / "0.png").refused()
+    assert (pictures / "0.png").read_bytes() == before
+
+
+def test_a_window_is_asked_for_where_there_is_one(
+    run: Run, blob_engine: Any, clip: Path, outputs: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    seen: list[Any] = []
+
+    def select(_: str, image: Any, **__: Any) -> tuple[int, int, int, int]:
+        seen.append(image)
+        return (106, 82, 40, 30)
+
+    for name in ("namedWindow", "destroyWindow"):
+        monkeypatch.setattr(cv2, name, lambda *_: None)
+    monkeypatch.setattr(cv2, "selectROI", select)
+    assert run("track", clip, "--select", "--start", "#2", "--boxes", outputs / "b.txt").code == 0
+    with open_source(clip) as source:
+        assert (seen[0] == list(source)[2]).all()
+    assert read_boxes(outputs / "b.txt") == pytest.approx(np.array(PATH[2:]), abs=2)
+    monkeypatch.setattr(cv2, "selectROI", lambda *_, **__: (0, 0, 0, 0))
+    assert "no box was drawn" in run("track", clip, "--select").refused()
+
+
+def test_without_windows_select_says_so(
+    run: Run, blob_engine: Any, clip: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def none(*_: Any) -> None:
+        raise cv2.error("The function is not implemented")
+
+    monkeypatch.setattr(cv2, "namedWindow", none)
+    assert "--select needs an OpenCV with windows" in run("track", clip, "--select").refused()
 
 
 @pytest.mark.parametrize("name", ["o.mp4", "b.1.txt"])

@@ -77,6 +77,7 @@ def test_the_socket_tells_of_frames_and_obeys(address: str, stream: Stream) -> N
 
 def test_latency_is_measured_and_told(address: str) -> None:
     with live(address) as socket:
+        assert ask(socket, type="start", box=BLOB)["ok"]
         told = until(lambda: (s := state(socket))["latency_ms_median"] is not None and s)
         assert told["latency_ms"] > 0
         assert told["tracker_ms"] >= 0
@@ -149,7 +150,12 @@ def test_the_description_names_every_way_in(http: httpx.Client) -> None:
         "/api/selected",
         "/api/propose",
         "/api/operator",
+        "/api/pause",
+        "/api/position",
         "/api/recording",
+        "/api/recordings",
+        "/api/recordings/{name}/{file}",
+        "/api/snapshot.jpg",
         "/api/state",
         "/api/events",
         "/api/frame.jpg",

@@ -13,7 +13,7 @@ from psiamfcpp.geometry import centre_error
 from psiamfcpp.serve.control import Control
 from psiamfcpp.serve.follower import Follower
 
-from .conftest import BLOB, HEIGHT, TIMEOUT_S, WIDTH, Stream, free_port, served, until
+from .conftest import BLOB, TIMEOUT_S, Stream, free_port, served, until
 
 pytestmark = pytest.mark.slow
 LIVE = "#link[data-kind=good]"
@@ -40,12 +40,18 @@ def visit(browser: Any) -> Iterator[Callable[..., Any]]:
     assert faults == []
 
 
+def shown_at(page: Any) -> dict[str, float]:
+    """Where the image lies on the canvas, and how large, in pixels of the screen."""
+    # Not by wait_for_function, which evaluates a string again and again: the page's own rules forbid that.
+    data = until(lambda: page.evaluate("({...document.getElementById('picture').dataset})"))
+    return {name: float(value) for name, value in data.items()}
+
+
 def place(page: Any, x: float, y: float) -> tuple[float, float]:
     """Where a pixel of the frame is on the screen."""
-    # Not by wait_for_function, which evaluates a string again and again: the page's own rules forbid that.
-    until(lambda: page.evaluate("document.getElementById('picture').width") == WIDTH)
+    at = shown_at(page)
     area = page.locator("#picture").bounding_box()
-    return area["x"] + x * area["width"] / WIDTH, area["y"] + y * area["height"] / HEIGHT
+    return area["x"] + at["left"] + x * at["scale"], area["y"] + at["top"] + y * at["scale"]
 
 
 def draw(page: Any) -> None:
@@ -59,8 +65,10 @@ def draw(page: Any) -> None:
 
 def green(page: Any, x: float, y: float) -> bool:
     """Whether a pixel of the canvas has the colour of a target that is tracked."""
+    at = shown_at(page)
+    left, top = at["left"] + x * at["scale"], at["top"] + y * at["scale"]
     r, g, b = page.evaluate(
-        f"[...document.getElementById('picture').getContext('2d').getImageData({x}, {y}, 1, 1).data].slice(0, 3)"
+        f"[...document.getElementById('picture').getContext('2d').getImageData({left}, {top}, 1, 1).data].slice(0, 3)"
     )
     return bool(g > r + 60 and g > b + 60)
 

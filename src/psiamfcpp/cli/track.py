@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -11,6 +11,7 @@ import tyro
 
 from psiamfcpp.cli.arguments import Overwrite
 from psiamfcpp.cli.output import check_new, notes, parse_box, print_json, progress
+from psiamfcpp.cli.targets import check_way, find_targets, write_frame
 from psiamfcpp.errors import UserError
 from psiamfcpp.files import check_outputs
 from psiamfcpp.geometry import Image
@@ -28,6 +29,8 @@ from psiamfcpp.zoo import DEFAULT_MODEL
 def track(
     source: tyro.conf.Positional[str],
     box: tyro.conf.UseAppendAction[list[str]],
+    select: bool = False,
+    frame: Path | None = None,
     model: str = DEFAULT_MODEL,
     tracker: str | None = None,
     output: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None,
@@ -43,6 +46,9 @@ def track(
     Args:
         source: video file, camera number, RTSP or HTTP address, folder of images, or glob of images.
         box: x,y,w,h of the target on the first frame that is followed, pixels, 0-based; repeat it to follow several.
+            Without it, a page opens on which targets and the first frame are chosen.
+        select: draw the box in a window of OpenCV instead, where it has windows.
+        frame: write the first frame with a grid of coordinates to this .png or .jpg, and end.
         model: name of a shipped model, or a model file.
         tracker: any other tracker instead, as opencv:mil, dcf:kcf or module:pkg.mod:Class.
         output: video to write (.mp4, .mov, .mkv or .avi) with box, score, state and speed.
@@ -53,20 +59,32 @@ def track(
         options: how the model runs.
         json: print one JSON object: source, tracker, frame numbers, boxes; with several targets, also all in targets.
     """
-    if not box:
-        raise UserError("--box is missing: give x,y,w,h of the target on the first frame, in pixels")
     starts = [parse_box(text) for text in box]
-    box_files = [] if boxes is None else boxes_paths(boxes, len(starts))
-    check_outputs([output, *box_files], [source, model, tracker])
-    check_new([output, *box_files], overwrite)
+
+    def check(*paths: Path | None) -> None:
+        check_outputs(paths, [source, model, tracker])
+        check_new(paths, overwrite)
+
+    if frame is not None:
+        check(frame)
+        with open_source(source, on_event=notes.print) as video:
+            print(write_frame(frame, video, span, starts))
+        return
+    if not starts:
+        check_way(json, select)
+    check(output, *([] if boxes is None else boxes_paths(boxes, len(starts) or 1)))
     with contextlib.ExitStack() as files:
         video = files.enter_context(open_source(source, on_event=notes.print))
-        bar = files.enter_context(progress())
         pool = TargetPool(tracker or model, options=options)
         files.callback(pool.close)
+        images: Iterable[Image] = video
+        if not starts:
+            starts, span, images = find_targets(video, span, select)
+            check(output, *([] if boxes is None else boxes_paths(boxes, len(starts))))
+        bar = files.enter_context(progress())
         task = bar.add_task(video.name, total=video.frame_count)
         outputs = Outputs(output, boxes, overlay)
-        frames = files.enter_context(_read(video, span, lambda: bar.advance(task)))
+        frames = files.enter_context(_read(video, images, span, lambda: bar.advance(task)))
         result = follow_to_files(frames, pool, starts, video.fps, outputs, span.every)
     # by target instead of by frame
     targets = [list(tracks) for tracks in zip(*result.tracks, strict=True)]
@@ -89,11 +107,11 @@ def track(
 
 
 @contextlib.contextmanager
-def _read(video: Source, span: Span, advance: Callable[[], None]) -> Iterator[Iterator[Shot]]:
+def _read(video: Source, images: Iterable[Image], span: Span, advance: Callable[[], None]) -> Iterator[Iterator[Shot]]:
     """Give the frames of a span; they are read ahead in a thread, but not those of a live source, which grow old."""
 
     def counted() -> Iterator[Image]:
-        for frame in video:
+        for frame in images:
             advance()
             yield frame
 

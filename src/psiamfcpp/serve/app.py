@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import contextlib
 import secrets
+import time
 from collections.abc import AsyncIterator, Callable
 from concurrent.futures import ThreadPoolExecutor
-from importlib import resources
 from typing import Annotated, Any
 
 from fastapi import FastAPI, Header, HTTPException, Path, Query, Request, Response, WebSocket
 from fastapi.exceptions import RequestValidationError
-from fastapi.responses import JSONResponse, StreamingResponse
+from fastapi.responses import FileResponse, JSONResponse, StreamingResponse
 from starlette.exceptions import HTTPException as StarletteHTTPException
 
 from psiamfcpp.errors import UserError
@@ -19,19 +19,13 @@ from psiamfcpp.serve import guard, messages
 from psiamfcpp.serve.control import Control, NotOperatorError, TooManyError
 from psiamfcpp.serve.follower import BusyError
 from psiamfcpp.serve.live import MAX_CLIENTS, Client, Room, start
-from psiamfcpp.serve.pictures import Pictures, annotated, plain
+from psiamfcpp.serve.pages import HEADERS, add_files
+from psiamfcpp.serve.pictures import Pictures, annotated, jpeg, plain
+from psiamfcpp.serve.recordings import find, listed
 from psiamfcpp.version import __version__
 
 _BOUNDARY = "frame"
-_PAGE = {"": "text/html", "page.js": "text/javascript", "page.css": "text/css"}
-# Nothing from elsewhere is loaded, and no other page may frame this one.
-_HEADERS = {
-    "Content-Security-Policy": "default-src 'self'; img-src 'self' blob: data:; connect-src 'self'; "
-    "frame-ancestors 'none'; base-uri 'none'; form-action 'self'",
-    "X-Content-Type-Options": "nosniff",
-    "Referrer-Policy": "no-referrer",
-    "Cache-Control": "no-store",
-}
+_PAGE = {"/": "index.html", "/page.js": "page.js", "/view.js": "view.js", "/page.css": "page.css"}
 _ABOUT = """
 Follow targets in a live video. Start one with `POST /api/targets`, watch it on the WebSocket `/api/live`.
 
@@ -43,10 +37,13 @@ was told before) and `jpeg` (whether a binary message with the picture of this v
 The client sends JSON:
 
 * `{"type": "frame"}`: send me one picture more; a client that asks again when it has shown one is never behind
-* `{"type": "start", "box": [x, y, w, h]}` or `{"type": "start", "point": [x, y]}`
+* `{"type": "start", "box": [x, y, w, h]}` or `{"type": "start", "point": [x, y]}`; with `"frame"`, the `frame` of the
+  state that it was drawn on, the target catches up from there; with `"replace"`, another target is stopped for it
+* `{"type": "hold", "frame": 71}`: keep this frame while I draw, for two minutes at most; without `frame`, no more
 * `{"type": "stop", "id": 1}`, without `id` all
 * `{"type": "select", "id": 1}`, `{"type": "propose", "point": [x, y]}`
 * `{"type": "operator", "take": true}`, `{"type": "record", "on": true}`
+* of files: `{"type": "pause", "on": true}`, `{"type": "seek", "frame": 250}`
 
 and gets `{"type": "reply", "request": ..., "ok": ...}` with `error` where it was refused; `request` is whatever whole
 number the message held under that name.
@@ -103,7 +100,7 @@ def build_app(control: Control, *, token: str | None = None, fov: float | None =
     )
     app.state.room = room
     guarded = guard.Guard(app, token)
-    _add_refusals(app)
+    add_refusals(app)
     _add_page(app, guarded)
     _add_commands(app, room)
     _add_views(app, room, Pictures(annotated, executor))
@@ -115,7 +112,9 @@ def build_app(control: Control, *, token: str | None = None, fov: float | None =
     return guarded
 
 
-def _add_refusals(app: FastAPI) -> None:
+def add_refusals(app: FastAPI) -> None:
+    """Have an application answer what it refuses with ``{"error": "one line"}``."""
+
     def refuse(code: int) -> Callable[[Request, Exception], JSONResponse]:
         headers = {"Retry-After": "1"} if code in (429, 503) else {}
         return lambda _, error: JSONResponse({"error": " ".join(str(error).split())}, code, headers)
@@ -139,17 +138,7 @@ def _add_refusals(app: FastAPI) -> None:
 
 
 def _add_page(app: FastAPI, guarded: guard.Guard) -> None:
-    folder = resources.files("psiamfcpp.serve") / "page"
-    texts = {name: (folder / (name or "index.html")).read_text("utf-8") for name in _PAGE}
-
-    def serve(name: str) -> Callable[[], Any]:
-        async def page() -> Response:
-            return Response(texts[name], media_type=_PAGE[name], headers=_HEADERS)
-
-        return page
-
-    for name in _PAGE:
-        app.get(f"/{name}", include_in_schema=False)(serve(name))
+    add_files(app, _PAGE)
 
     @app.post("/api/login", response_model=messages.Done, tags=["access"])
     async def login(body: messages.LoginBody, request: Request, response: Response) -> dict[str, bool]:
@@ -218,6 +207,24 @@ def _add_commands(app: FastAPI, room: Room) -> None:
         control.lease.release(_name(request, client))
         return {"ok": True}
 
+    @app.post("/api/pause", response_model=messages.Done, tags=["playing"])
+    async def pause(request: Request, client: ClientName = None) -> dict[str, bool]:
+        """Stop playing a file at its next frame."""
+        await room.run(control.pause, _name(request, client), True)
+        return {"ok": True}
+
+    @app.delete("/api/pause", response_model=messages.Done, tags=["playing"])
+    async def play(request: Request, client: ClientName = None) -> dict[str, bool]:
+        """Play a file on."""
+        await room.run(control.pause, _name(request, client), False)
+        return {"ok": True}
+
+    @app.put("/api/position", response_model=messages.Done, tags=["playing"])
+    async def seek(body: messages.SeekBody, request: Request, client: ClientName = None) -> dict[str, bool]:
+        """Play a file from another frame on; targets are stopped."""
+        await room.run(control.seek, _name(request, client), body.frame)
+        return {"ok": True}
+
     @app.post("/api/recording", response_model=messages.Done, tags=["recording"])
     async def record(request: Request, client: ClientName = None) -> dict[str, bool]:
         """Begin to record video and boxes."""
@@ -249,14 +256,40 @@ def _add_views(app: FastAPI, room: Room, drawn: Pictures) -> None:
         """The newest frame, as the camera gave it."""
         if follower.newest is None:
             raise BusyError("no frame has come yet: try again")
-        return Response(await room.pictures.get(follower.newest), media_type="image/jpeg", headers=_HEADERS)
+        return Response(await room.pictures.get(follower.newest), media_type="image/jpeg", headers=HEADERS)
+
+    @app.get("/api/snapshot.jpg", response_class=Response, tags=["watching"])
+    async def snapshot(boxes: bool = True) -> Response:
+        """The newest frame in its full size, to keep; with what was found in it."""
+        shot = follower.newest
+        if shot is None:
+            raise BusyError("no frame has come yet: try again")
+        data = await room.run(lambda: jpeg(annotated(shot) if boxes else shot.image, None, 95))
+        name = time.strftime(f"psiamfcpp-%Y%m%d-%H%M%S-{shot.number}.jpg")
+        headers = {**HEADERS, "Content-Disposition": f'attachment; filename="{name}"'}
+        return Response(data, media_type="image/jpeg", headers=headers)
 
     @app.get("/api/stream.mjpg", response_class=StreamingResponse, tags=["watching"])
     async def stream() -> StreamingResponse:
         """The frames with boxes drawn, as MJPEG; for players and other programs."""
         _check_room(room)
         kind = f"multipart/x-mixed-replace; boundary={_BOUNDARY}"
-        return StreamingResponse(_parts(room, drawn), media_type=kind, headers=_HEADERS)
+        return StreamingResponse(_parts(room, drawn), media_type=kind, headers=HEADERS)
+
+    @app.get("/api/recordings", response_model=list[messages.Recording], tags=["recording"])
+    async def recordings() -> list[dict[str, Any]]:
+        """The recordings that can be fetched, newest first."""
+        recorder = room.control.recorder
+        return [] if recorder is None else await room.run(listed, recorder.folder)
+
+    @app.get("/api/recordings/{name}/{file}", response_class=FileResponse, tags=["recording"])
+    async def recorded(name: str, file: str) -> FileResponse:
+        """A file of a recording."""
+        recorder = room.control.recorder
+        path = None if recorder is None else await room.run(find, recorder.folder, name, file)
+        if path is None:
+            raise HTTPException(404, "there is no such file of a recording")
+        return FileResponse(path, filename=f"{name}-{file}", headers=HEADERS)
 
     @app.websocket("/api/live")
     async def live(socket: WebSocket, client: str = "") -> None:

@@ -7,10 +7,10 @@ import time
 from collections.abc import Callable
 
 from psiamfcpp.errors import UserError
-from psiamfcpp.geometry import Box
-from psiamfcpp.serve.follower import BusyError, Follower
+from psiamfcpp.geometry import Box, Image
+from psiamfcpp.serve.follower import Follower
 from psiamfcpp.serve.limits import Bucket
-from psiamfcpp.serve.propose import propose_box
+from psiamfcpp.serve.propose import find_box, propose_box
 from psiamfcpp.serve.recorder import Recorder
 
 # Each start runs the template branch once; a hand never asks for more than this.
@@ -79,28 +79,54 @@ class Control:
         self.lease = Lease()
         self._bucket = Bucket(_COMMANDS_PER_S, _COMMANDS_AT_ONCE)
 
-    def start(self, client: str, box: Box) -> tuple[int, Box]:
-        """Follow the target in a box ``(x, y, w, h)``, pixels of the frame; its number and its box."""
+    def start(self, client: str, box: Box, frame: int | None = None, replace: int | None = None) -> tuple[int, Box]:
+        """Follow the target in a box ``(x, y, w, h)``, pixels of a frame (see `Follower.add`); its number and box."""
         self._admit(client)
-        number, track = self.follower.add(box)
+        number, track = self.follower.add(box, frame=frame, replace=replace)
         return number, track.box
 
-    def start_at(self, client: str, x: float, y: float) -> tuple[int, Box]:
-        """Follow what lies under a point, pixels of the frame; its number and its box."""
+    def start_at(
+        self,
+        client: str,
+        x: float,
+        y: float,
+        frame: int | None = None,
+        replace: int | None = None,
+        or_square: bool = True,
+    ) -> tuple[int, Box]:
+        """Follow what lies under a point, pixels of a frame; its number and its box.
+
+        Where nothing is found there, a small square is followed, or without ``or_square`` it is refused.
+        """
         self._admit(client)
-        shot = self.follower.newest
-        if shot is None:
-            raise BusyError("no frame has come yet: try again")
-        number, track = self.follower.add(propose_box(shot.image, x, y), shot.image)
+        image = self.follower.image(frame)
+        box = propose_box(image, x, y) if or_square else _found(image, x, y)
+        number, track = self.follower.add(box, image, frame, replace)
         return number, track.box
+
+    def hold(self, client: str, frame: int | None) -> None:
+        """Keep a frame on which the client draws, until it holds another, or none."""
+        if self.lease.holder not in (None, client):
+            raise NotOperatorError("another client is in control: wait until it hands over or leaves")
+        if frame is None:
+            self.follower.ring.release(client)
+        elif not self.follower.ring.hold(client, frame):
+            self.follower.image(frame)  # says why not
 
     def propose(self, client: str, x: float, y: float) -> Box:
         """The box that a point would be given."""
         self._admit(client)
-        shot = self.follower.newest
-        if shot is None:
-            raise BusyError("no frame has come yet: try again")
-        return propose_box(shot.image, x, y)
+        return propose_box(self.follower.image(None), x, y)
+
+    def pause(self, client: str, on: bool) -> None:
+        """Stop playing a file, or go on."""
+        self._admit(client)
+        self.follower.pause(on)
+
+    def seek(self, client: str, frame: int) -> None:
+        """Play a file from another frame on, numbered from 0."""
+        self._admit(client)
+        self.follower.seek(frame)
 
     def stop(self, client: str, number: int | None = None) -> None:
         """Let a target go, or all."""
@@ -134,3 +160,10 @@ class Control:
             raise NotOperatorError("another client is in control: wait until it hands over or leaves")
         if not self._bucket.take():
             raise TooManyError(f"too many commands: at most {_COMMANDS_PER_S:g} a second are taken")
+
+
+def _found(image: Image, x: float, y: float) -> Box:
+    box = find_box(image, x, y)
+    if box is None:
+        raise UserError("nothing to follow was found there: draw a box round it")
+    return box

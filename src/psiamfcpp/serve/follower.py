@@ -17,10 +17,13 @@ import numpy as np
 from psiamfcpp.errors import UserError
 from psiamfcpp.geometry import Box, Image
 from psiamfcpp.serve.reader import Reader
+from psiamfcpp.serve.ring import Ring, stepping_stones
 from psiamfcpp.trackers import TargetPool, Track
 from psiamfcpp.video.source import Source
 
 MAX_TARGETS = 8
+# Frames over which a target that was drawn on an older one catches up: a few tenths of a second of tracking.
+_CATCH_UP = 24
 _MAX_WAITING = 16
 _ANSWER_S = 10.0
 T = TypeVar("T")
@@ -61,12 +64,16 @@ class BusyError(UserError):
     """Not now: there is no frame yet, or too much is waiting. The same call may succeed later."""
 
 
+class FrameGoneError(UserError):
+    """The frame that a box was drawn on is no longer kept."""
+
+
 class Follower:
     """Reads a source, follows targets in its newest frames, and takes commands from any thread.
 
     A file is played at its own rate, as a camera would be, and from its start again when it is over; then its
-    targets are let go. Frames for which tracking leaves no time are skipped. A source that breaks off is opened
-    again for as long as it takes, and targets are kept.
+    targets are let go. It can be paused, and played from another frame. Frames for which tracking leaves no time are
+    skipped. A source that breaks off is opened again for as long as it takes, and targets are kept.
     """
 
     def __init__(self, open_source: Callable[[Callable[[str], None]], Source], pool: TargetPool):
@@ -89,6 +96,7 @@ class Follower:
         self._events: deque[Event] = deque(maxlen=200)
         self._event_count = 0
         self._intervals: deque[float] = deque(maxlen=30)
+        self._last_at = 0.0
         self.started = 0
         """how many targets were started so far"""
         self.newest: Shot | None = None
@@ -97,8 +105,11 @@ class Follower:
         self.failure: BaseException | None = None
         self.listeners: list[Callable[[], None]] = []
         """called after every frame, command and event, in the thread where it happened; must return at once"""
-        self._reader = Reader(open_source, self._take, self._replayed, self.tell)
+        self.ring = Ring()
+        """the last frames that were looked at, by the numbers of their shots"""
+        self._reader = Reader(open_source, self._take, self._jumped, self.tell)
         self.name, self.source_fps = self._reader.name, self._reader.fps
+        self.live, self.frame_count = self._reader.live, self._reader.frame_count
         self._threads = [
             threading.Thread(target=self._guarded, args=(run,), name=name, daemon=True)
             for run, name in ((self._reader.run, "reader"), (self._follow, "tracker"))
@@ -124,29 +135,69 @@ class Follower:
         intervals = list(self._intervals)
         return len(intervals) / sum(intervals) if intervals and sum(intervals) > 0 else 0.0
 
-    def add(self, box: Box, image: Image | None = None) -> tuple[int, Track]:
+    @property
+    def paused(self) -> bool:
+        """Whether the file was paused."""
+        return self._reader.paused
+
+    @property
+    def position(self) -> int:
+        """Number of the frame of a file that was read last, from 0."""
+        return max(0, self._reader.position)
+
+    def pause(self, on: bool) -> None:
+        """Stop playing a file, or go on; `UserError` where the source is live."""
+        self._reader.pause(on)
+        self._notify()
+
+    def seek(self, number: int) -> None:
+        """Play a file from another frame on, without the targets; `UserError` where the source is live."""
+        self._reader.seek(number)
+
+    def image(self, frame: int | None) -> Image:
+        """Return the image of a shot's number ``(H, W, 3)`` BGR; without one, the newest.
+
+        Raises:
+            FrameGoneError: it is no longer kept.
+            BusyError: no frame has come yet.
+        """
+        return self._frame() if frame is None else self._since(frame)[0][1]
+
+    def add(
+        self, box: Box, image: Image | None = None, frame: int | None = None, replace: int | None = None
+    ) -> tuple[int, Track]:
         """Follow one more target and choose it.
 
         Args:
             box: ``(x, y, w, h)``, pixels, 0-based.
             image: the frame that the box belongs to; by default the newest.
+            frame: number of the shot that the box belongs to, instead of ``image``: from there the target catches up
+                with the newest frame, over at most some frames between.
+            replace: a target that is stopped once this one is followed.
 
         Returns:
             The target's number, and its first track.
 
         Raises:
-            UserError: the box is not one that can be tracked in the frame.
+            UserError: the box is not one that can be tracked in the frame, or there is no target to replace.
+            FrameGoneError: the frame is no longer kept.
             BusyError: there is no frame yet, or as many targets as can be followed.
         """
 
         def work() -> tuple[int, Track]:
-            frame = image if image is not None else self._frame()
-            if len(self._tracks) >= MAX_TARGETS:
+            if replace is not None:
+                self._known(replace)
+            elif len(self._tracks) >= MAX_TARGETS:
                 raise BusyError(f"{MAX_TARGETS} targets are followed already: stop one first")
-            number, track = self._pool.add(frame, box)
-            self._tracks[number], self._selected = track, number
+            since = [] if frame is None else self._since(frame)
+            start = since[0][1] if since else self._frame() if image is None else image
+            number, track = self._pool.add(start, box)
+            self._tracks[number] = self._caught_up(number, track, since[1:])
+            if replace is not None:
+                self._drop(replace)
+            self._selected = number
             self.started += 1
-            self.tell(f"target {number} is followed")
+            self.tell(f"target {number} is followed" + ("" if replace is None else f", target {replace} no more"))
             return number, track
 
         return self._in_tracker(work)
@@ -199,6 +250,19 @@ class Follower:
             raise BusyError("no frame has come yet: try again")
         return self.newest.image
 
+    def _since(self, frame: int) -> list[tuple[int, Image]]:
+        """The frames from a shot's number to the newest."""
+        found = self.ring.since(frame)
+        if not found:
+            raise FrameGoneError("the frame that this was drawn on is no longer kept: draw on the image as it is now")
+        return found
+
+    def _caught_up(self, number: int, track: Track, since: list[tuple[int, Image]]) -> Track:
+        """The track of a target in the newest frame, given its first one and the frames since."""
+        for image in stepping_stones(since, _CATCH_UP):
+            track = self._pool.update_one(number, image)
+        return track
+
     def _known(self, number: int) -> None:
         if number not in self._tracks:
             raise UserError(f"there is no target {number}: {sorted(self._tracks) or 'none'} are followed")
@@ -249,7 +313,6 @@ class Follower:
         raise BusyError("the tracker did not answer in time: try again")
 
     def _follow(self) -> None:
-        last_at = 0.0
         while not self._stop.is_set():
             with self._changed:
                 while not (self._incoming or self._commands or self._stop.is_set()):
@@ -268,9 +331,9 @@ class Follower:
                 self._update(image)
                 now = time.perf_counter()
                 self._publish(image, read_at, now - start, new=True)
-                if last_at:
-                    self._intervals.append(now - last_at)
-                last_at = now
+                if self._last_at:
+                    self._intervals.append(now - self._last_at)
+                self._last_at = 0.0 if self.paused else now
 
     def _update(self, image: Image) -> None:
         before, self._tracks = self._tracks, self._pool.update(image)
@@ -281,6 +344,8 @@ class Follower:
 
     def _publish(self, image: Image, read_at: float, tracker_s: float, new: bool) -> None:
         number = (self.newest.number if self.newest else 0) + new
+        if new:
+            self.ring.add(number, image)
         self.newest = Shot(number, image, read_at, dict(self._tracks), self._selected, tracker_s)
         self._notify()
 
@@ -295,13 +360,22 @@ class Follower:
             self._incoming = (image, read_at)
             self._changed.notify_all()
 
-    def _replayed(self) -> None:
-        """Drop the targets of a file that starts again.
+    def _jumped(self, again: bool) -> None:
+        """Drop the targets of a file that starts again, or is played from elsewhere.
 
         Queued whatever waits already, and not waited for: the reader has nobody to pass a refusal on to.
         """
+
+        def work() -> None:
+            self.ring.clear()
+            self._last_at = 0.0
+            if self._tracks and again:
+                self.tell(f"{self.name} starts again")
+            self._drop_all()
+
         with self._changed:
-            self._commands.append(self._drop_all)
+            self._incoming = None
+            self._commands.append(work)
             self._changed.notify_all()
 
     def _guarded(self, run: Callable[[], None]) -> None:

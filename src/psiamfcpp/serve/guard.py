@@ -29,7 +29,7 @@ REFUSALS = {
     429: "too many wrong tokens: wait some seconds",
 }
 # What must be had before a token can be given.
-_OPEN_PATHS = {"/", "/page.css", "/page.js", "/api/login"}
+_OPEN_PATHS = {"/", "/page.css", "/page.js", "/view.js", "/choose.js", "/api/login", "/api/enter"}
 
 
 def check_address(host: str, token: str | None) -> None:

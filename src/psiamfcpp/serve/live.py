@@ -19,6 +19,7 @@ from pydantic import ValidationError
 from psiamfcpp.errors import UserError
 from psiamfcpp.serve import messages
 from psiamfcpp.serve.control import Control
+from psiamfcpp.serve.follower import Shot
 from psiamfcpp.serve.limits import Bucket
 from psiamfcpp.serve.pace import caught_up
 from psiamfcpp.serve.pictures import Pictures
@@ -75,21 +76,29 @@ class Room:
         self.control, self.fov, self.pictures, self.executor = control, fov, pictures, executor
         self.bell = Bell()
         self.clients: set[str] = set()
-        self._latencies: deque[float] = deque(maxlen=60)
+        # of the same frames, so that the two agree: the tracker's time is part of the latency
+        self._times: deque[tuple[float, float]] = deque(maxlen=60)
 
     async def run(self, work: Callable[..., Any], *args: Any) -> Any:
         """Run a command outside of the server's loop, for it waits for the tracker."""
         return await asyncio.get_running_loop().run_in_executor(self.executor, work, *args)
 
-    def sent(self, latency_ms: float) -> None:
-        """Count a box that was sent."""
-        self._latencies.append(latency_ms)
+    def sent(self, latency_ms: float, shot: Shot) -> None:
+        """Count boxes that were sent; frames without a target took no tracking, and tell nothing about it."""
+        if shot.tracks:
+            self._times.append((latency_ms, 1000 * shot.tracker_s))
 
     def state(self, client: str) -> dict[str, Any]:
         """What a client is told; see `messages.State`."""
-        median = round(statistics.median(self._latencies), 1) if self._latencies else None
         whole = status(self.control, client, self.fov)
-        return {**whole, "clients": len(self.clients), "latency_ms_median": median}
+        if not whole["targets"]:
+            self._times.clear()
+        latency, tracker = (_median(each) for each in zip(*self._times, strict=True)) if self._times else (None, None)
+        return {**whole, "clients": len(self.clients), "latency_ms_median": latency, "tracker_ms_median": tracker}
+
+
+def _median(values: tuple[float, ...]) -> float:
+    return round(statistics.median(values), 1)
 
 
 class Client:
@@ -109,6 +118,7 @@ class Client:
         try:
             done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
         finally:
+            self._room.control.follower.ring.release(self._name)
             for task in tasks:
                 task.cancel()
             await asyncio.gather(*tasks, return_exceptions=True)
@@ -140,7 +150,7 @@ class Client:
                 if shot is not None and shot.number > told:
                     told = shot.number
                     state["latency_ms"] = round(1000 * (time.perf_counter() - shot.read_at), 2)
-                    room.sent(state["latency_ms"])
+                    room.sent(state["latency_ms"], shot)
                 await self._send(json.dumps(state))
                 if picture is not None:
                     pictured, self._wishes = picture.number, self._wishes - 1
@@ -197,6 +207,12 @@ class Client:
                     control.lease.release(name)
             case messages.RecordMessage():
                 await run(control.record, name, command.on)
+            case messages.HoldMessage():
+                control.hold(name, command.frame)
+            case messages.PauseMessage():
+                await run(control.pause, name, command.on)
+            case messages.SeekMessage():
+                await run(control.seek, name, command.frame)
         return {}
 
     async def _refuse(self, reason: str, request: int | None = None, harmless: bool = False) -> bool:
@@ -223,9 +239,9 @@ async def start(room: Room, client: str, body: messages.StartBody) -> tuple[int,
     if (body.box is None) == (body.point is None):
         raise UserError("give a box or a point, one of the two")
     if body.box is not None:
-        return await room.run(room.control.start, client, body.box)
+        return await room.run(room.control.start, client, body.box, body.frame, body.replace)
     assert body.point is not None
-    return await room.run(room.control.start_at, client, *body.point)
+    return await room.run(room.control.start_at, client, *body.point, body.frame, body.replace, False)
 
 
 def request_of(text: str | None) -> int | None:

@@ -9,34 +9,47 @@ from pydantic import BaseModel, ConfigDict, Field, TypeAdapter
 # No camera has more pixels a side; beyond, a number is a mistake.
 Number = Annotated[float, Field(allow_inf_nan=False, ge=-1e5, le=1e5)]
 Identifier = Annotated[int, Field(ge=1, le=10**9)]
+FrameNumber = Annotated[int, Field(ge=0, le=10**9)]
 Box = tuple[Number, Number, Number, Number]
 Point = tuple[Number, Number]
 
 
-class _Strict(BaseModel):
+class Strict(BaseModel):
+    """What a client sends: no field that is not known."""
+
     model_config = ConfigDict(extra="forbid")
 
 
-class StartBody(_Strict):
+class StartBody(Strict):
     """A target: its box, or a point on it. Pixels of the frame, 0-based."""
 
     box: Box | None = Field(None, description="x, y, w, h")
     point: Point | None = Field(None, description="x, y; a box is proposed there")
+    frame: FrameNumber | None = Field(
+        None, description="number of the frame that this was drawn on, as in `State.frame`; by default the newest"
+    )
+    replace: Identifier | None = Field(None, description="a target that is stopped once this one is followed")
 
 
-class PointBody(_Strict):
+class PointBody(Strict):
     """A point of the frame."""
 
     point: Point = Field(description="x, y in pixels, 0-based")
 
 
-class SelectBody(_Strict):
+class SelectBody(Strict):
     """A choice among the targets."""
 
     id: Identifier
 
 
-class LoginBody(_Strict):
+class SeekBody(Strict):
+    """A frame of a file."""
+
+    frame: FrameNumber = Field(description="its number, from 0")
+
+
+class LoginBody(Strict):
     """The token that the server was started with."""
 
     token: str = Field(max_length=1000)
@@ -63,7 +76,13 @@ class Source(BaseModel):
     """Where frames come from."""
 
     name: str
-    state: Literal["playing", "silent"] = Field(description="silent: no frame for two seconds; it is being reopened")
+    state: Literal["playing", "paused", "silent"] = Field(
+        description="silent: no frame for two seconds; it is being reopened"
+    )
+    live: bool = Field(description="a camera or stream, which can be neither paused nor wound")
+    frame: int | None = Field(description="of a file: number of the frame that was read last, from 0")
+    frames: int | None = Field(description="of a file: how many its container promises, if it does")
+    fps: float = Field(description="frames per second of the source itself")
     age_ms: float | None = Field(description="since the last frame was read")
 
 
@@ -74,14 +93,17 @@ class State(BaseModel):
     width: int
     height: int
     fps: float = Field(description="frames looked at in a second, of late")
-    tracker_ms: float | None = Field(description="time that tracking took in this frame")
+    tracker_ms: float | None = Field(description="time that tracking took in this frame; null without targets")
     source: Source
     targets: list[Target]
     selected: int | None = Field(description="the target that MAVLink speaks of")
     operator: Literal["none", "you", "other"] = Field(description="who is in control")
     recording: bool | None = Field(description="null where recording was not allowed with --record")
     clients: int = Field(description="programs and pages connected to /api/live")
-    latency_ms_median: float | None = Field(description="of the last 60 boxes sent: frame read to box sent")
+    latency_ms_median: float | None = Field(
+        description="of the last 60 frames sent with a box: from reading the frame to sending the box"
+    )
+    tracker_ms_median: float | None = Field(description="of the same frames: what tracking took of that time")
 
 
 class Started(BaseModel):
@@ -95,6 +117,20 @@ class Proposal(BaseModel):
     """A box for a point."""
 
     box: Box
+
+
+class RecordedFile(BaseModel):
+    """A file of a recording."""
+
+    name: str
+    bytes: int
+
+
+class Recording(BaseModel):
+    """A recording that is finished, or what is left of one."""
+
+    name: str
+    files: list[RecordedFile] = Field(description="at /api/recordings/RECORDING/FILE")
 
 
 class EventOut(BaseModel):
@@ -117,7 +153,7 @@ class Refusal(BaseModel):
     error: str
 
 
-class FrameWish(_Strict):
+class FrameWish(Strict):
     """Send the JPEG of the next frame that I have not had."""
 
     type: Literal["frame"]
@@ -130,7 +166,30 @@ class StartMessage(StartBody):
     request: int | None = None
 
 
-class StopMessage(_Strict):
+class HoldMessage(Strict):
+    """Keep a frame while I draw on it; without one, none any more."""
+
+    type: Literal["hold"]
+    frame: FrameNumber | None = None
+    request: int | None = None
+
+
+class PauseMessage(Strict):
+    """Stop playing a file, or go on."""
+
+    type: Literal["pause"]
+    on: bool
+    request: int | None = None
+
+
+class SeekMessage(SeekBody):
+    """Play a file from another frame on."""
+
+    type: Literal["seek"]
+    request: int | None = None
+
+
+class StopMessage(Strict):
     """Let a target go; without an id, all."""
 
     type: Literal["stop"]
@@ -152,7 +211,7 @@ class ProposeMessage(PointBody):
     request: int | None = None
 
 
-class OperatorMessage(_Strict):
+class OperatorMessage(Strict):
     """Take control, or hand it over."""
 
     type: Literal["operator"]
@@ -160,7 +219,7 @@ class OperatorMessage(_Strict):
     request: int | None = None
 
 
-class RecordMessage(_Strict):
+class RecordMessage(Strict):
     """Begin or end a recording."""
 
     type: Literal["record"]
@@ -168,5 +227,15 @@ class RecordMessage(_Strict):
     request: int | None = None
 
 
-Command = StartMessage | StopMessage | SelectMessage | ProposeMessage | OperatorMessage | RecordMessage
+Command = (
+    StartMessage
+    | StopMessage
+    | SelectMessage
+    | ProposeMessage
+    | OperatorMessage
+    | RecordMessage
+    | HoldMessage
+    | PauseMessage
+    | SeekMessage
+)
 MESSAGE: TypeAdapter[FrameWish | Command] = TypeAdapter(Annotated[FrameWish | Command, Field(discriminator="type")])

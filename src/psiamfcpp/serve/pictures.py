@@ -45,11 +45,15 @@ class Pictures:
         return await asyncio.shield(self._made)
 
     def _make(self, shot: Shot) -> bytes:
-        image = self._draw(shot)
-        scale = _LARGEST_SIDE / max(image.shape[:2])
-        if scale < 1:
-            image = np.asarray(cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA), np.uint8)
-        ok, data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])
-        if not ok:
-            raise RuntimeError("a frame could not be made a JPEG")
-        return data.tobytes()
+        return jpeg(self._draw(shot))
+
+
+def jpeg(image: Image, largest_side: int | None = _LARGEST_SIDE, quality: int = _QUALITY) -> bytes:
+    """Return an image ``(H, W, 3)`` BGR as JPEG, made smaller where a side is longer than allowed."""
+    scale = 1.0 if largest_side is None else largest_side / max(image.shape[:2])
+    if scale < 1:
+        image = np.asarray(cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA), np.uint8)
+    ok, data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, quality])
+    if not ok:
+        raise RuntimeError("a frame could not be made a JPEG")
+    return data.tobytes()

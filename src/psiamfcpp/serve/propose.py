@@ -22,11 +22,22 @@ _FALLBACK = 1 / 18
 
 
 def propose_box(frame: Image, x: float, y: float) -> Box:
-    """A box around what lies under a point.
+    """Return a box around what lies under a point, or a small square about the point where nothing is found.
 
-    GrabCut (Rother, Kolmogorov and Blake 2004) parts a window about the point into object and ground: the point is
-    object, the window's rim is ground. Where that gives nothing that could be a target, the box is a small square
-    about the point.
+    See `find_box` for the arguments and errors.
+    """
+    found = find_box(frame, x, y)
+    if found is not None:
+        return found
+    side = min(frame.shape[:2]) * _FALLBACK
+    return (x - (side - 1) / 2, y - (side - 1) / 2, side, side)
+
+
+def find_box(frame: Image, x: float, y: float) -> Box | None:
+    """Return a box around what lies under a point, or None where nothing there could be a target.
+
+    GrabCut (Rother, Kolmogorov and Blake 2004) separates a window about the point into object and ground: the point is
+    object, the window's rim is ground.
 
     Args:
         frame: ``(H, W, 3)`` uint8, BGR.
@@ -34,7 +45,7 @@ def propose_box(frame: Image, x: float, y: float) -> Box:
         y: row of the point, pixels.
 
     Returns:
-        ``(x, y, w, h)``, pixels.
+        ``(x, y, w, h)``, pixels, or None.
 
     Raises:
         UserError: the point is not finite, or outside the frame.
@@ -50,8 +61,7 @@ def propose_box(frame: Image, x: float, y: float) -> Box:
         window = np.asarray(cv2.resize(window, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA), np.uint8)
     found = _object(np.ascontiguousarray(window), round((x - left) * scale), round((y - top) * scale))
     if found is None:
-        side = min(width, height) * _FALLBACK
-        return (x - (side - 1) / 2, y - (side - 1) / 2, side, side)
+        return None
     bx, by, bw, bh = found
     return (left + bx / scale, top + by / scale, bw / scale, bh / scale)
 

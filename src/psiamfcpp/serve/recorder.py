@@ -55,6 +55,11 @@ class Recorder:
         self._last = 0
 
     @property
+    def folder(self) -> Path:
+        """Where recordings are written to, a folder each."""
+        return self._folder
+
+    @property
     def on(self) -> bool:
         """Whether it is recording."""
         thread = self._thread
@@ -103,11 +108,11 @@ class Recorder:
 
     def _run(self, recording: _Recording, shots: queue.Queue[Shot | None]) -> None:
         try:
-            self._follower.tell(f"recording to {recording.folder}")
+            self._follower.tell(f"recording to {recording.folder.name}")
             with recording:
                 while (shot := shots.get()) is not None:
                     recording.write(shot, behind=not shots.empty())
-            self._follower.tell(f"recorded {recording.folder}")
+            self._follower.tell(f"recorded {recording.folder.name}")
         except (UserError, OSError) as error:
             self._follower.tell(f"recording ended: {error}")
         finally:

@@ -93,6 +93,19 @@ class TargetPool:
             check_frame(frame)
         return self._group.update(frame)
 
+    def update_one(self, number: int, frame: Image) -> Track:
+        """Find one target in a frame, and leave the others as they are: to catch up with them.
+
+        Args:
+            number: of the target.
+            frame: ``(H, W, 3)`` uint8, BGR.
+
+        Raises:
+            UserError: the frame is no such image.
+        """
+        check_frame(frame)
+        return self._group.update_one(number, frame)
+
     def close(self) -> None:
         """Stop following all targets and release what their trackers hold."""
         for number in self.numbers:
@@ -126,6 +139,9 @@ class _OneEngine:
         tracks = update_many(engine, list(self.targets.values()), frame, self._regions[:count])
         return dict(zip(self.targets, tracks, strict=True))
 
+    def update_one(self, number: int, frame: Image) -> Track:
+        return self.targets[number].update(frame, self._tracker.engine.search)
+
     def close(self) -> None:
         self._tracker.close()
 
@@ -152,6 +168,9 @@ class _OneEach:
 
     def update(self, frame: Image) -> dict[int, Track]:
         return {number: tracker.update(frame) for number, tracker in self.targets.items()}
+
+    def update_one(self, number: int, frame: Image) -> Track:
+        return self.targets[number].update(frame)
 
     def close(self) -> None:
         if self._spare is not None:

@@ -12,13 +12,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
-import numpy as np
 
 from psiamfcpp.errors import UserError
 from psiamfcpp.geometry import Image
 from psiamfcpp.images import IMAGE_SUFFIXES, ImageReader, image_files
-from psiamfcpp.video.capture import FALLBACK_FPS, ended_early, open_capture, sane_count, sane_fps
+from psiamfcpp.video.capture import FALLBACK_FPS, ended_early, sane_count, sane_fps
 from psiamfcpp.video.live import LiveReader
+from psiamfcpp.video.seek import Reel
 from psiamfcpp.video.streams import Stream, is_whole, open_other_stream
 
 _CAMERA_DIGITS = 4
@@ -39,6 +39,8 @@ class Source:
     """frames come as they happen: those that were not asked for in time are skipped"""
     _frames: Iterator[Image]
     _close: Callable[[], None]
+    _from: Callable[[int], Iterator[Image]] | None = None
+    """the frames from a number on"""
 
     def __iter__(self) -> Iterator[Image]:
         return self
@@ -51,6 +53,19 @@ class Source:
 
     def __exit__(self, *_: object) -> None:
         self.close()
+
+    def seek(self, number: int) -> None:
+        """Go to a frame of a file or folder, so that it is read next; beyond the last one, to the end.
+
+        Args:
+            number: of the frame, from 0, as reading from the first frame counts it.
+
+        Raises:
+            UserError: the source is live.
+        """
+        if self._from is None:
+            raise UserError(f"{self.name} is live: there is nothing but its newest frame")
+        self._frames = self._from(number)
 
     def close(self) -> None:
         """Let go of the file or device, and end a live source's reader thread; may be called twice."""
@@ -140,24 +155,48 @@ def _live(
 def _video(path: Path, name: str, fps: float | None) -> Source:
     other = open_other_stream(path)
     if other is not None:
-        read = _other_frames(other, path, name)
-        if (shown := next(read, None)) is not None:
-            played = fps or other.fps or FALLBACK_FPS
-            return Source(name, played, other.count, False, itertools.chain([shown], read), other.close)
-        other.close()
-    # absolute, since FFmpeg takes what stands before a colon in a bare name for a protocol
-    capture = open_capture(str(path.absolute()), None)
-    ok, first = capture.read()
+        reopened = _Other(other, path, name)
+        if (shown := next(reopened.frames, None)) is not None:
+            played = fps or reopened.stream.fps or FALLBACK_FPS
+            read = itertools.chain([shown], reopened.frames)
+            return Source(name, played, reopened.stream.count, False, read, reopened.close, reopened.seek)
+        reopened.close()
+    reel = Reel(path)
+    first = reel.read()
     # FFmpeg takes plain text for "ansi" video
-    if not ok or int(capture.get(cv2.CAP_PROP_FOURCC)) == cv2.VideoWriter.fourcc(*"ansi"):
-        empty = capture.isOpened() and not ok
-        capture.release()
+    if first is None or int(reel.capture.get(cv2.CAP_PROP_FOURCC)) == cv2.VideoWriter.fourcc(*"ansi"):
+        empty = reel.capture.isOpened() and first is None
+        reel.close()
         if empty:
             raise UserError(f"video {name} holds no frame that can be read: record or copy it again")
         raise UserError(f"{name} is not a video that can be read (or is cut off): give {_KINDS}")
-    count, rate = sane_count(capture), sane_fps(capture)
-    frames = _video_frames(capture, np.asarray(first, dtype=np.uint8), path, name, count, rate)
-    return Source(name, fps or rate or FALLBACK_FPS, count, False, frames, capture.release)
+    count, rate = sane_count(reel.capture), sane_fps(reel.capture)
+
+    def start_from(number: int) -> Iterator[Image]:
+        reel.seek(number)
+        return _video_frames(reel, None, path, name, count, rate)
+
+    frames = _video_frames(reel, first, path, name, count, rate)
+    return Source(name, fps or rate or FALLBACK_FPS, count, False, frames, reel.close, start_from)
+
+
+class _Other:
+    """A stream that PyAV reads; to go back it is read anew."""
+
+    def __init__(self, stream: Stream, path: Path, name: str):
+        self._path, self._name, self.stream = path, name, stream
+        self.frames = _other_frames(stream, path, name)
+
+    def seek(self, number: int) -> Iterator[Image]:
+        self.close()
+        stream = open_other_stream(self._path)
+        if stream is None:
+            raise UserError(f"video {self._name} cannot be read any more: it was changed or removed")
+        self.stream, self.frames = stream, _other_frames(stream, self._path, self._name)
+        return itertools.islice(self.frames, number, None)
+
+    def close(self) -> None:
+        self.stream.close()
 
 
 def _other_frames(stream: Stream, path: Path, name: str) -> Iterator[Image]:
@@ -169,21 +208,19 @@ def _other_frames(stream: Stream, path: Path, name: str) -> Iterator[Image]:
 
 
 def _video_frames(
-    capture: cv2.VideoCapture, first: Image, path: Path, name: str, count: int | None, rate: float | None
+    reel: Reel, first: Image | None, path: Path, name: str, count: int | None, rate: float | None
 ) -> Iterator[Image]:
-    yield first
-    read, position_s = 1, 0.0
-    while True:
-        ok, frame = capture.read()
-        if not ok:
-            break
-        read += 1
-        position_s = capture.get(cv2.CAP_PROP_POS_MSEC) / 1000
-        yield np.asarray(frame, dtype=np.uint8)
-    if read == 1 and path.stat().st_size > _largest_as_image(first) and importlib.util.find_spec("av") is None:
+    if first is not None:
+        yield first
+    position_s = 0.0
+    while (frame := reel.read()) is not None:
+        position_s = reel.position_s
+        yield frame
+    alone = first is not None and reel.next == 1 and path.stat().st_size > _largest_as_image(first)
+    if alone and importlib.util.find_spec("av") is None:
         mend = "pip install 'psiamfcpp[video]' reads the rest"
         raise UserError(f"video {name} holds more than the one image that can be read: {mend}")
-    _check_end(path, name, read, position_s, count, rate)
+    _check_end(path, name, reel.next, position_s, count, rate)
 
 
 def _largest_as_image(frame: Image) -> int:
@@ -202,7 +239,15 @@ def _check_end(path: Path, name: str, read: int, position_s: float, count: int |
 def _images(paths: list[Path], name: str, none: str, fps: float | None) -> Source:
     if not paths:
         raise UserError(f"{none}: {', '.join(sorted(IMAGE_SUFFIXES))} are read")
-    return Source(name, fps or FALLBACK_FPS, len(paths), False, _image_frames(paths), lambda: None)
+    return Source(
+        name,
+        fps or FALLBACK_FPS,
+        len(paths),
+        False,
+        _image_frames(paths),
+        lambda: None,
+        lambda number: _image_frames(paths[number:]),
+    )
 
 
 def _image_frames(paths: list[Path]) -> Iterator[Image]:

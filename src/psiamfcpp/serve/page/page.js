@@ -1,15 +1,9 @@
-"use strict";
+// The page of `serve`: the live image, its targets, and what an operator commands.
+import { COLOURS, STATES, byId, drawBox, makeView, typing, wireTheme, wireTools } from "/view.js";
 
-const scoreText = (score) => (score === null ? "" : score.toFixed(2));
-const byId = (id) => document.getElementById(id);
-const canvas = byId("picture");
-const pen = canvas.getContext("2d");
-const STATES = { tracking: "#28c850", unsure: "#ffb400", lost: "#e63232" };
-// as in the package's drawing: the colour of a target by its number
-const COLOURS = ["#28c850", "#28a0ff", "#fadc3c", "#e65ae6", "#ff8c28", "#5adcdc", "#ff6e96", "#bebebe"];
 // pictures that may be on their way: more would only grow old there
 const AHEAD = 2;
-const TAP_PIXELS = 6;
+const DASH = "\u2013";
 
 // sessionStorage: a reload is the same client and keeps control, another tab is another client
 const client = sessionStorage.client || (sessionStorage.client = crypto.getRandomValues(new Uint32Array(4)).join(""));
@@ -17,11 +11,24 @@ let socket = null;
 let state = null;        // what was last told
 let shown = null;        // what was told of the picture that is on the canvas
 let waiting = null;      // what was told of the picture that comes next
-let bitmap = null;
-let drag = null;         // the box that is being drawn, in pixels of the frame
+let still = false;       // the image stands still while one draws
+let adding = false;      // the next box is one more target
 let pause = 250;         // before the next attempt to connect
 let alive = 0;           // when something was last heard
+let requests = 0;
+const replies = new Map();   // what to do with the answers that are still to come
 
+const view = makeView(byId("picture"), {
+  mayDraw: () => Boolean(socket && shown && state && state.operator !== "other"),
+  hold: () => { still = true; send({ type: "hold", frame: shown.frame }); panel(); },
+  free: () => { release(); },
+  box: (box, more) => start({ box }, more),
+  tap: (point, more) => start({ point }, more),
+  paint: (pen, unit) => shown.targets.forEach((target) => paint(pen, target, unit)),
+  tell: (text) => { byId("live").textContent = text; byId("hint").textContent = text; },
+});
+
+// ---- the connection
 function connect() {
   const scheme = location.protocol === "https:" ? "wss" : "ws";
   socket = new WebSocket(`${scheme}://${location.host}/api/live?client=${client}`);
@@ -29,6 +36,7 @@ function connect() {
   socket.onopen = () => {
     pause = 250;
     alive = Date.now();
+    view.dimmed = false;
     for (let i = 0; i < AHEAD; i++) send({ type: "frame" });
   };
   socket.onmessage = (message) => {
@@ -41,14 +49,16 @@ function connect() {
 
 async function lose() {
   socket = null;
-  banner("No connection to the server: trying again\u2026");
+  still = false;
+  replies.clear();
+  banner("No connection to the server: trying again\u2026", "lost");
   chip(byId("link"), "no connection", "bad");
   // what is not known must not look as if it were, and what cannot be done not as if it could
-  for (const id of ["fps", "latency", "tracker", "clients"]) byId(id).textContent = "\u2013";
-  for (const id of ["role", "rec", "hint"]) byId(id).hidden = true;
-  for (const button of document.querySelectorAll("aside button")) button.disabled = true;
-  drag = null;
-  draw();
+  for (const id of ["fps", "latency", "tracker", "clients", "clock"]) byId(id).textContent = DASH;
+  for (const id of ["role", "rec", "hint", "why"]) byId(id).hidden = true;
+  for (const control of document.querySelectorAll("aside button, aside input")) control.disabled = true;
+  view.dimmed = true;
+  view.cancel();
   try {
     // a browser does not tell why a WebSocket was refused
     const answer = await fetch("/api/state");
@@ -73,13 +83,20 @@ byId("login").querySelector("form").addEventListener("submit", async () => {
   else login(answer.status === 429 ? "Too many attempts: wait some seconds." : "That is not the token.");
 });
 
-function send(message) {
-  if (socket && socket.readyState === WebSocket.OPEN) socket.send(JSON.stringify(message));
+/** Send a message; `answered` is called with the reply, whether it was refused or not. */
+function send(message, answered) {
+  if (!socket || socket.readyState !== WebSocket.OPEN) return;
+  if (message.type !== "frame") message.request = ++requests;
+  if (answered) replies.set(requests, answered);
+  socket.send(JSON.stringify(message));
 }
 
 function hear(message) {
   if (message.type === "reply") {
-    if (!message.ok) say(message.error, true);
+    const answered = replies.get(message.request);
+    replies.delete(message.request);
+    if (answered) answered(message);
+    if (!message.ok) note(message.error);
     return;
   }
   state = message;
@@ -95,97 +112,126 @@ async function show(blob, told) {
   } finally {
     send({ type: "frame" });
   }
-  if (shown && told.frame < shown.frame && told.frame > 1) { picture.close(); return; }
-  if (bitmap) bitmap.close();
-  bitmap = picture;
+  const older = shown && told.frame < shown.frame && told.frame > 1;
+  if (still || older) { picture.close(); return; }
   shown = told;
-  draw();
+  view.show(picture, told.width, told.height);
 }
 
-function draw() {
-  if (!bitmap || !shown) return;
-  if (canvas.width !== shown.width || canvas.height !== shown.height) {
-    canvas.width = shown.width;
-    canvas.height = shown.height;
-  }
-  pen.drawImage(bitmap, 0, 0, canvas.width, canvas.height);
-  // sizes in pixels of the screen, whatever the frame's are
-  const unit = canvas.width / Math.max(1, canvas.clientWidth);
-  for (const target of shown.targets) drawTarget(target, unit);
-  if (drag) {
-    pen.setLineDash([6 * unit, 4 * unit]);
-    pen.lineWidth = 2 * unit;
-    pen.strokeStyle = "#fff";
-    pen.strokeRect(drag.x0, drag.y0, drag.x1 - drag.x0, drag.y1 - drag.y0);
-    pen.setLineDash([]);
-  }
-  if (!socket) {
-    pen.fillStyle = "rgb(5 7 10 / 60%)";
-    pen.fillRect(0, 0, canvas.width, canvas.height);
-  }
+// ---- drawing
+function start(what, more) {
+  const chosen = state.targets.some((target) => target.id === state.selected) ? state.selected : null;
+  const replace = adding || more ? null : chosen;
+  send({ type: "start", ...what, frame: shown.frame, replace }, (reply) => {
+    if (reply.ok) adding = false;
+    release();
+  });
 }
 
-function drawTarget(target, unit) {
-  const [x, y, w, h] = target.box;
+/** Let the image move again. */
+function release() {
+  still = false;
+  if (socket) send({ type: "hold" });
+  if (state) panel();
+}
+
+function paint(pen, target, unit) {
   const several = shown.targets.length > 1;
-  const colour = several ? COLOURS[(target.id - 1) % COLOURS.length] : STATES[target.state ?? "tracking"];
-  pen.lineWidth = (several && target.id === shown.selected ? 3.5 : 2) * unit;
-  pen.strokeStyle = colour;
-  pen.setLineDash(target.state === "lost" ? [5 * unit, 5 * unit] : []);
-  pen.strokeRect(x, y, w, h);
-  pen.setLineDash([]);
-  const label = [several ? target.id : "", target.state ?? "", scoreText(target.score)].filter(Boolean).join(" ");
-  pen.font = `600 ${13 * unit}px system-ui, sans-serif`;
-  const width = pen.measureText(label).width + 10 * unit;
-  const height = 20 * unit;
-  const left = Math.min(Math.max(0, x - unit), canvas.width - width);
-  const top = y - height >= 0 ? y - height : Math.min(y + h, canvas.height - height);
-  pen.fillStyle = colour;
-  pen.fillRect(left, top, width, height);
-  pen.fillStyle = "#000";
-  pen.fillText(label, left + 5 * unit, top + 14.5 * unit);
+  const label = [several ? target.id : "", target.state ?? "", score(target)].filter(Boolean).join(" ");
+  const thick = several && target.id === shown.selected;
+  drawBox(pen, view, target.box, label, colour(target, several), unit, { thick, dashed: target.state === "lost" });
 }
 
+const colour = (target, several) => (several ? COLOURS[(target.id - 1) % COLOURS.length] : STATES[target.state ?? "tracking"]);
+const score = (target) => (target.score === null ? "" : target.score.toFixed(2));
+
+// ---- what is shown beside the image
 function panel() {
+  if (!socket) return;
   const mine = state.operator !== "other";
-  chip(byId("link"), state.source.state === "playing" ? "live" : "no picture", state.source.state === "playing" ? "good" : "bad");
-  const role = byId("role");
-  role.hidden = state.operator === "none";
-  chip(role, state.operator === "you" ? "you control" : "another controls", state.operator === "you" ? "good" : "wait");
+  heading();
+  figures();
+  playing(mine);
+  commands(mine);
+  list(mine);
+  byId("hint").hidden = !mine || !shown || !(still || adding || !state.targets.length);
+  if (!view.keys) byId("hint").textContent = hint();
+  byId("picture").classList.toggle("watching", !mine);
+  if (state.source.state === "silent") banner("The stream has stopped: it is being opened again\u2026", "silent");
+  else if (byId("banner").dataset.kind !== "note") banner("");
+}
+
+function heading() {
+  const kinds = { playing: ["live", "good"], paused: ["paused", "wait"], silent: ["no image", "bad"] };
+  const [text, kind] = kinds[state.source.state];
+  chip(byId("link"), state.source.live || text !== "live" ? text : "playing", kind);
+  byId("role").hidden = state.operator === "none";
+  chip(byId("role"), state.operator === "you" ? "you control" : "another controls", state.operator === "you" ? "good" : "wait");
   byId("rec").hidden = !state.recording;
   byId("source").textContent = state.width ? `${state.source.name} \u00b7 ${state.width}\u00d7${state.height}` : state.source.name;
-  byId("fps").textContent = state.fps.toFixed(0);
-  byId("latency").textContent = state.latency_ms_median ?? "\u2013";
-  byId("tracker").textContent = state.tracker_ms === null ? "\u2013" : state.tracker_ms.toFixed(1);
+}
+
+/** All of the same last frames; a dash where there is nothing to tell. */
+function figures() {
+  const runs = state.source.state === "playing";
+  byId("fps").textContent = runs && state.fps ? state.fps.toFixed(0) : DASH;
+  byId("latency").textContent = runs ? state.latency_ms_median?.toFixed(1) ?? DASH : DASH;
+  byId("tracker").textContent = runs ? state.tracker_ms_median?.toFixed(1) ?? DASH : DASH;
   byId("clients").textContent = state.clients;
-  byId("hint").hidden = state.targets.length > 0 || !mine || state.source.state !== "playing";
-  byId("stop").disabled = !mine || !state.targets.length;
-  byId("stop").textContent = state.targets.length > 1 ? "Stop all" : "Stop";
-  const record = byId("record");
-  record.hidden = state.recording === null;
-  record.disabled = !mine;
-  record.textContent = state.recording ? "Stop recording" : "Record";
-  const operator = byId("operator");
-  operator.disabled = !mine;
-  operator.textContent = state.operator === "you" ? "Hand over" : "Take control";
-  canvas.classList.toggle("watching", !mine);
-  if (state.source.state !== "playing") banner("The stream has stopped: it is being opened again\u2026");
-  else if (byId("banner").dataset.kind !== "note") banner("");
-  list(mine);
+}
+
+function playing(mine) {
+  const { live, frame, frames, fps } = state.source;
+  byId("time").hidden = live;
+  if (live) return;
+  const slider = byId("slider");
+  slider.disabled = !mine || frames === null;
+  slider.max = (frames ?? 1) - 1;
+  if (!sliding) slider.value = frame;
+  slider.setAttribute("aria-valuetext", time(frame / fps));
+  byId("pause").disabled = !mine;
+  byId("pause").textContent = state.source.state === "paused" ? "Play" : "Pause";
+  byId("clock").textContent = frames === null ? time(frame / fps) : `${time(frame / fps)} / ${time(frames / fps)}`;
+}
+
+function commands(mine) {
+  const stop = byId("stop");
+  stop.disabled = !mine || !state.targets.length;
+  stop.textContent = state.targets.length > 1 ? "Stop all" : "Stop";
+  byId("record").hidden = state.recording === null;
+  byId("record").disabled = !mine;
+  byId("record").textContent = state.recording ? "Stop recording" : "Record";
+  byId("recorded").hidden = state.recording === null;
+  byId("snapshot").disabled = !shown;
+  byId("operator").disabled = !mine;
+  byId("operator").textContent = state.operator === "you" ? "Hand over" : "Take control";
+  byId("why").hidden = mine;
+  byId("why").textContent = mine ? "" : "Another operator is in control: it is yours when they hand over, or 15 s after they leave.";
+  byId("add").hidden = !state.targets.length;
+  byId("add").disabled = !mine;
+  byId("add").setAttribute("aria-pressed", adding);
+}
+
+function hint() {
+  if (state.targets.length && adding) return "Draw one more target, or tap on it.";
+  if (!still) return "Draw a box round a target, or tap on it.";
+  return "The image stands still while you draw.";
 }
 
 function list(mine) {
   const old = new Map([...byId("targets").children].map((item) => [+item.dataset.id, item]));
+  const several = state.targets.length > 1;
   for (const target of state.targets) {
     const item = old.get(target.id) || makeItem(target.id);
     old.delete(target.id);
-    item.classList.toggle("selected", state.targets.length > 1 && target.id === state.selected);
-    const several = state.targets.length > 1;
-    item.querySelector(".swatch").style.background = several ? COLOURS[(target.id - 1) % COLOURS.length] : STATES[target.state ?? "tracking"];
+    const selected = target.id === state.selected;
+    item.classList.toggle("selected", several && selected);
+    item.querySelector(".pick").setAttribute("aria-pressed", selected);
+    item.querySelector(".swatch").style.background = colour(target, several);
     const word = item.querySelector(".state");
     word.textContent = target.state ?? "";
     word.className = `state ${target.state ?? "tracking"}`;
-    item.querySelector(".score").textContent = scoreText(target.score);
+    item.querySelector(".score").textContent = score(target);
     const bearing = target.bearing;
     item.querySelector("small").textContent = bearing
       ? `${angle(bearing.azimuth_deg, "right", "left")}, ${angle(bearing.elevation_deg, "up", "down")}` : "";
@@ -202,10 +248,12 @@ function angle(degrees, positive, negative) {
 function makeItem(id) {
   const item = document.createElement("li");
   item.dataset.id = id;
-  item.innerHTML = '<button class="pick" title="MAVLink speaks of this target"><span class="swatch"></span>'
-    + '<span class="words"><span class="state"></span><small></small></span><span class="score"></span></button>'
-    + '<button class="x" aria-label="stop">\u2715</button>';
+  item.innerHTML = '<button class="pick"><span class="swatch"></span><span class="words"><span class="state"></span>'
+    + '<small></small></span><span class="score" title="probability that the target is in the box"></span></button>'
+    + '<button class="x">\u2715</button>';
   item.querySelector(".swatch").textContent = id;
+  item.querySelector(".pick").title = `choose target ${id}: the next box replaces it, and ground stations hear of it`;
+  item.querySelector(".x").setAttribute("aria-label", `stop target ${id}`);
   item.querySelector(".pick").onclick = () => send({ type: "select", id });
   item.querySelector(".x").onclick = () => send({ type: "stop", id });
   byId("targets").append(item);
@@ -214,25 +262,30 @@ function makeItem(id) {
 
 function addEvent(event) {
   const item = document.createElement("li");
-  const time = document.createElement("time");
-  time.textContent = new Date(1000 * event.time).toLocaleTimeString([], { hour12: false });
-  item.append(time, event.text);
+  const when = document.createElement("time");
+  when.textContent = new Date(1000 * event.time).toLocaleTimeString([], { hour12: false });
+  item.append(when, event.text);
   byId("events").prepend(item);
   while (byId("events").children.length > 50) byId("events").lastChild.remove();
 }
 
-let noteTimer = 0;
-function say(text) {
-  banner(text);
-  byId("banner").dataset.kind = "note";
-  clearTimeout(noteTimer);
-  noteTimer = setTimeout(() => banner(""), 4000);
+function time(seconds) {
+  const whole = Math.floor(seconds);
+  return `${Math.floor(whole / 60)}:${String(whole % 60).padStart(2, "0")}`;
 }
 
-function banner(text) {
+let noteTimer = 0;
+function note(text) {
+  banner(text, "note");
+  clearTimeout(noteTimer);
+  noteTimer = setTimeout(() => { if (byId("banner").dataset.kind === "note") banner(""); }, 5000);
+}
+
+function banner(text, kind = "") {
   const place = byId("banner");
-  place.dataset.kind = "";
-  place.textContent = text;
+  place.dataset.kind = kind;
+  // a live region speaks whenever its text is set, even to the same
+  if (place.textContent !== text) place.textContent = text;
   place.hidden = !text;
 }
 
@@ -241,44 +294,83 @@ function chip(place, text, kind) {
   place.dataset.kind = kind;
 }
 
-function toFrame(event) {
-  const area = canvas.getBoundingClientRect();
-  const clamp = (value, most) => Math.min(Math.max(value, 0), most - 1);
-  return [
-    clamp((event.clientX - area.left) * canvas.width / area.width, canvas.width),
-    clamp((event.clientY - area.top) * canvas.height / area.height, canvas.height),
-  ];
+// ---- recordings
+async function listRecordings() {
+  if (!byId("recorded").open) return;
+  const answer = await fetch("/api/recordings");
+  const found = answer.ok ? await answer.json() : [];
+  byId("recordings").replaceChildren(...(found.length ? found.map(recording) : [document.createTextNode("None yet.")]));
 }
 
-canvas.addEventListener("pointerdown", (event) => {
-  if (!socket || !bitmap || !event.isPrimary || event.button !== 0 || (state && state.operator === "other")) return;
-  canvas.setPointerCapture(event.pointerId);
-  const [x, y] = toFrame(event);
-  drag = { x0: x, y0: y, x1: x, y1: y, far: 0, left: event.clientX, top: event.clientY };
-});
-canvas.addEventListener("pointermove", (event) => {
-  if (!drag || !event.isPrimary) return;
-  [drag.x1, drag.y1] = toFrame(event);
-  drag.far = Math.max(drag.far, Math.abs(event.clientX - drag.left), Math.abs(event.clientY - drag.top));
-  draw();
-});
-canvas.addEventListener("pointerup", (event) => {
-  if (!drag || !event.isPrimary) return;
-  const { x0, y0, x1, y1, far } = drag;
-  drag = null;
-  if (far < TAP_PIXELS) send({ type: "start", point: [x0, y0] });
-  else send({ type: "start", box: [Math.min(x0, x1), Math.min(y0, y1), Math.abs(x1 - x0), Math.abs(y1 - y0)] });
-});
-canvas.addEventListener("pointercancel", () => { drag = null; draw(); });
+function recording({ name, files }) {
+  const line = document.createElement("li");
+  line.append(`${name} `);
+  for (const file of files) {
+    const link = document.createElement("a");
+    link.href = `/api/recordings/${encodeURIComponent(name)}/${encodeURIComponent(file.name)}`;
+    link.download = `${name}-${file.name}`;
+    link.textContent = `${file.name} (${size(file.bytes)})`;
+    line.append(link);
+  }
+  return line;
+}
+
+const size = (bytes) => (bytes < 1e6 ? `${Math.ceil(bytes / 1e3)} kB` : `${(bytes / 1e6).toFixed(1)} MB`);
+
+// ---- commands
+let sliding = false;
+const paused = () => state.source.state === "paused";
+const togglePause = () => !state.source.live && send({ type: "pause", on: !paused() });
+const record = () => state.recording !== null
+  && send({ type: "record", on: !state.recording }, () => setTimeout(listRecordings, 300));
+const control = () => send({ type: "operator", take: state.operator !== "you" });
+const toggleAdding = () => { adding = state.targets.length > 0 && !adding; panel(); };
+const stopChosen = () => state.selected !== null && send({ type: "stop", id: state.selected });
+
+function step(sign) {
+  const { live, frame, frames, fps } = state.source;
+  if (live) return;
+  const wanted = frame + sign * (paused() ? 1 : Math.round(5 * fps));
+  send({ type: "seek", frame: Math.min(Math.max(0, wanted), (frames ?? Infinity) - 1) });
+}
+
+function snapshot() {
+  const link = document.createElement("a");
+  link.href = "/api/snapshot.jpg";
+  link.download = "";
+  link.click();
+}
+
+const KEYS = {
+  a: toggleAdding, r: record, s: snapshot, c: control, p: togglePause,
+  x: () => send({ type: "stop" }), Delete: stopChosen, Backspace: stopChosen,
+  ",": () => step(-1), ".": () => step(1), "?": () => byId("help").showModal(),
+};
+
 addEventListener("keydown", (event) => {
-  if (event.key === "Escape" && drag) { drag = null; draw(); }
+  if (!state || !socket || typing(event)) return;
+  if (view.key(event)) { event.preventDefault(); return; }
+  if (event.ctrlKey || event.metaKey || event.altKey) return;
+  const target = /^[1-8]$/.test(event.key) && state.targets[+event.key - 1];
+  if (target) send({ type: "select", id: target.id });
+  else if (KEYS[event.key]) { event.preventDefault(); KEYS[event.key](); }
 });
 
 byId("stop").onclick = () => send({ type: "stop" });
-byId("record").onclick = () => send({ type: "record", on: !state.recording });
-byId("operator").onclick = () => send({ type: "operator", take: state.operator !== "you" });
+byId("record").onclick = record;
+byId("snapshot").onclick = snapshot;
+byId("operator").onclick = control;
+byId("pause").onclick = togglePause;
+byId("add").onclick = toggleAdding;
+byId("recorded").ontoggle = listRecordings;
+byId("slider").oninput = () => { sliding = true; };
+byId("slider").onchange = () => {
+  sliding = false;
+  send({ type: "seek", frame: +byId("slider").value });
+};
 
 // a link that died without a word: the server says something every second
 setInterval(() => { if (socket && socket.readyState === WebSocket.OPEN && Date.now() - alive > 5000) socket.close(); }, 1000);
-addEventListener("resize", draw);
+wireTheme();
+wireTools(view);
 connect();
