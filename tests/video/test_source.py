@@ -18,7 +18,7 @@ import pytest
 
 from psiamfcpp.errors import UserError
 from psiamfcpp.video import live
-from psiamfcpp.video.capture import ended_early
+from psiamfcpp.video.capture import ended_early, has_gstreamer
 from psiamfcpp.video.source import Image, Source, open_source
 from psiamfcpp.video.writer import VideoWriter
 
@@ -479,3 +479,82 @@ def test_a_file_behind_an_address_plays_once(tmp_path: Path) -> None:
     # whoever reads slowly misses some, but sees none twice and the last
     assert seen == sorted(set(seen))
     assert seen[-1] == pytest.approx(190, abs=5)
+
+
+# streams of packets
+
+SESSION = """v=0
+o=- 0 0 IN IP4 127.0.0.1
+s=test
+c=IN IP4 127.0.0.1
+t=0 0
+m=video {port} RTP/AVP 96
+a=rtpmap:96 H264/90000
+"""
+
+
+@contextmanager
+def sent(address: str, container: str) -> Iterator[None]:
+    """Send H.264 to an address until the block ends, a key frame every fifth."""
+    av = pytest.importorskip("av")
+    stop = threading.Event()
+
+    def send() -> None:
+        with av.open(f"{address}?pkt_size=1316", "w", format=container) as out:
+            options = {"preset": "ultrafast", "tune": "zerolatency", "g": "5"}
+            stream = out.add_stream("libx264", rate=25, options=options)
+            stream.width, stream.height, stream.pix_fmt = 64, 48, "yuv420p"
+            number = 0
+            while not stop.wait(0.02):
+                frame = av.VideoFrame.from_ndarray(grey(100 + number % 100), format="bgr24")
+                frame.pts, number = number, number + 1
+                out.mux(stream.encode(frame))
+
+    thread = threading.Thread(target=send)
+    thread.start()
+    try:
+        yield
+    finally:
+        stop.set()
+        thread.join()
+
+
+@pytest.fixture
+def port() -> int:
+    """A port of this machine for packets."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as found:
+        found.bind(("127.0.0.1", 0))
+        return int(found.getsockname()[1])
+
+
+def test_packets_of_a_drone_are_followed_live(port: int) -> None:
+    address = f"udp://127.0.0.1:{port}"
+    with sent(address, "mpegts"), open_source(address, timeout_s=TIMEOUT_S) as source:
+        assert source.live
+        frames = [next(source) for _ in range(3)]
+    assert {frame.shape for frame in frames} == {(48, 64, 3)}
+    assert all(95 < frame.mean() < 205 for frame in frames)
+
+
+def test_a_session_description_opens_its_ports(port: int, tmp_path: Path) -> None:
+    path = tmp_path / "drone.sdp"
+    path.write_text(SESSION.format(port=port))
+    with sent(f"rtp://127.0.0.1:{port}", "rtp"), open_source(path, timeout_s=TIMEOUT_S) as source:
+        assert (source.live, source.name) == (True, f"session {path}")
+        assert next(source).shape == (48, 64, 3)
+    assert "OPENCV_FFMPEG_CAPTURE_OPTIONS" not in os.environ
+
+
+@pytest.mark.parametrize("scheme", ["udp", "srt", "rtmp", "tcp"])
+def test_an_address_without_a_sender_is_no_file_name(scheme: str, port: int) -> None:
+    with pytest.raises(UserError, match=rf"stream {scheme}://127\.0\.0\.1:{port} cannot be opened"):
+        open_source(f"{scheme}://127.0.0.1:{port}", timeout_s=0.3)
+
+
+def test_a_pipeline_needs_gstreamer() -> None:
+    if has_gstreamer():
+        with open_source("videotestsrc num-buffers=3 ! videoconvert ! appsink") as source:
+            assert next(source).shape[2] == 3
+    else:
+        with pytest.raises(UserError, match="this OpenCV has no GStreamer"):
+            open_source("videotestsrc ! appsink")

@@ -15,6 +15,7 @@ import pytest
 from psiamfcpp.errors import UserError
 from psiamfcpp.geometry import Image
 from psiamfcpp.video.source import open_source
+from psiamfcpp.video.streams import has_sound
 
 av = pytest.importorskip("av")
 
@@ -217,3 +218,24 @@ def test_turned_videos_are_turned_by_both_readers(tmp_path: Path, quarters: int)
     with av.open(str(path)) as container:
         found, _ = next(streams._frames(av, container, container.streams.video[0], False))
     assert np.array_equal(found, expected)
+
+
+@pytest.mark.parametrize("sound", [True, False])
+def test_a_sound_track_is_noticed(tmp_path: Path, sound: bool) -> None:
+    path = tmp_path / "a.mp4"
+    with av.open(str(path), "w") as out:
+        main = add(out, "libx264", 25, WIDTH, HEIGHT)
+        audio = out.add_stream("aac", rate=48000, layout="mono") if sound else None
+        out.mux(main.encode(av.VideoFrame.from_ndarray(np.zeros((HEIGHT, WIDTH, 3), np.uint8), format="bgr24")))
+        if audio is not None:
+            frame = av.AudioFrame.from_ndarray(np.zeros((1, 1024), np.float32), format="fltp", layout="mono")
+            frame.sample_rate, frame.pts, frame.time_base = 48000, 0, Fraction(1, 48000)
+            out.mux(audio.encode(frame))
+            out.mux(audio.encode(None))
+        out.mux(main.encode(None))
+    assert has_sound(str(path)) is sound
+
+
+@pytest.mark.parametrize("source", ["0", "missing.mp4", "rtsp://host/a", "a ! b", "x" * 5000])
+def test_what_is_no_file_has_no_sound_track(source: str) -> None:
+    assert not has_sound(source)

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from psiamfcpp.cli.arguments import Json, Output, Overwrite
-from psiamfcpp.cli.output import check_new, print_json, progress
+from psiamfcpp.cli.output import check_new, print_json, progress, say_of_video
 from psiamfcpp.demo.clip import DemoFrame, render
 from psiamfcpp.errors import UserError
 from psiamfcpp.evaluation.metrics import score_sequence
@@ -47,6 +47,7 @@ def demo(
     check_new([output], overwrite or output == DEFAULT_OUTPUT)
     if frames < 2:
         raise UserError(f"frames is {frames}: a clip needs at least 2")
+    say_of_video()
     pool = TargetPool(tracker or model, options=options)
     shots = render(seed, frames)
     first = next(shots)

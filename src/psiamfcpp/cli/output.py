@@ -15,6 +15,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from psiamfcpp.errors import UserError
 from psiamfcpp.geometry import Box
+from psiamfcpp.video.writer import writes_h264
 from psiamfcpp.watch import Item, Watch
 
 LINE_SECONDS = 10.0
@@ -73,6 +74,12 @@ def check_new(outputs: Iterable[Path | None], overwrite: bool) -> None:
             raise UserError(f"output folder {path} is not empty: choose another, or give --overwrite")
         if path.exists() and not path.is_dir():
             raise UserError(f"output {path} exists already: choose another name, or give --overwrite")
+
+
+def say_of_video() -> None:
+    """Say what a video cannot be played by, where it is not written as H.264."""
+    if not writes_h264():
+        notes.print("video is written as MPEG-4, which browsers do not play: pip install 'psiamfcpp[video]' for H.264")
 
 
 def parse_box(text: str) -> Box:

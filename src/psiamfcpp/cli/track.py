@@ -10,7 +10,7 @@ from typing import Annotated, Any
 import tyro
 
 from psiamfcpp.cli.arguments import Overwrite
-from psiamfcpp.cli.output import check_new, notes, parse_box, print_json, progress
+from psiamfcpp.cli.output import check_new, notes, parse_box, print_json, progress, say_of_video
 from psiamfcpp.cli.targets import check_way, find_targets, write_frame
 from psiamfcpp.errors import UserError
 from psiamfcpp.files import check_outputs
@@ -22,6 +22,7 @@ from psiamfcpp.video.boxes import boxes_paths
 from psiamfcpp.video.drawing import Overlay
 from psiamfcpp.video.source import Source, open_source
 from psiamfcpp.video.span import Shot, Span, shots
+from psiamfcpp.video.streams import has_sound
 from psiamfcpp.video.threads import ahead
 from psiamfcpp.zoo import DEFAULT_MODEL
 
@@ -44,7 +45,8 @@ def track(
     """Follow a target through a video.
 
     Args:
-        source: video file, camera number, RTSP or HTTP address, folder of images, or glob of images.
+        source: video file, camera number, address (rtsp://, http://, udp://, srt://, rtmp://, tcp://), session (.sdp),
+            GStreamer pipeline, folder of images, or glob of images.
         box: x,y,w,h of the target on the first frame that is followed, pixels, 0-based; repeat it to follow several.
             Without it, a page opens on which targets and the first frame are chosen.
         select: draw the box in a window of OpenCV instead, where it has windows.
@@ -75,6 +77,10 @@ def track(
     check(output, *([] if boxes is None else boxes_paths(boxes, len(starts) or 1)))
     with contextlib.ExitStack() as files:
         video = files.enter_context(open_source(source, on_event=notes.print))
+        if output is not None:
+            say_of_video()
+            if has_sound(source):
+                notes.print(f"the sound of {source} is left out of {output}")
         pool = TargetPool(tracker or model, options=options)
         files.callback(pool.close)
         images: Iterable[Image] = video

@@ -2,15 +2,23 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import os
+import threading
+from collections.abc import Iterator
 
 import cv2
 
 from psiamfcpp.images import quiet_opencv
 
 FALLBACK_FPS = 30.0
+SESSION_SUFFIX = ".sdp"
+"""of a file that describes an RTP session"""
 
+# OpenCV reads this variable whenever it opens something.
+_OPTIONS, _SESSION_OPTIONS = "OPENCV_FFMPEG_CAPTURE_OPTIONS", "protocol_whitelist;file,rtp,udp"
+_session_lock = threading.Lock()
 
 # OpenCV takes so many packets in a row without a frame for the end of the file: by default 4,096 of sound or telemetry
 # between two images, and 64 damaged ones. -8 is FFmpeg's "quiet".
@@ -22,11 +30,11 @@ _SETTINGS = {
 
 
 def open_capture(target: int | str, timeout_s: float | None) -> cv2.VideoCapture:
-    """A capture of a camera number, file or address; whether it could be opened is for the caller to ask.
+    """Return a capture of a camera, file, address or pipeline; whether it could be opened is for the caller to ask.
 
     Args:
-        target: camera number, path or address.
-        timeout_s: for an address: how many seconds opening it, and waiting for a frame, may take.
+        target: camera number, path, address, description of a session (.sdp), or GStreamer pipeline.
+        timeout_s: for an address or a session: how many seconds opening it, and waiting for a frame, may take.
     """
     # read once, when FFmpeg is first used
     for name, value in _SETTINGS.items():
@@ -34,12 +42,43 @@ def open_capture(target: int | str, timeout_s: float | None) -> cv2.VideoCapture
     quiet_opencv()
     if isinstance(target, int):
         return cv2.VideoCapture(target)
+    if is_pipeline(target):
+        return cv2.VideoCapture(target, cv2.CAP_GSTREAMER)
     if timeout_s is None:
         return cv2.VideoCapture(target)
     limit = max(1, int(timeout_s * 1000))
     limits = [cv2.CAP_PROP_OPEN_TIMEOUT_MSEC, limit, cv2.CAP_PROP_READ_TIMEOUT_MSEC, limit]
     # other backends refuse these limits, and would hang without them
-    return cv2.VideoCapture(target, cv2.CAP_FFMPEG, limits)
+    with _protocols_of(target):
+        return cv2.VideoCapture(target, cv2.CAP_FFMPEG, limits)
+
+
+def is_pipeline(target: str) -> bool:
+    """Return whether a source is a GStreamer pipeline: elements with exclamation marks between them."""
+    return " ! " in target
+
+
+def has_gstreamer() -> bool:
+    """Return whether this OpenCV was built with GStreamer; the wheels of PyPI are not."""
+    return bool(cv2.videoio_registry.hasBackend(cv2.CAP_GSTREAMER))
+
+
+@contextlib.contextmanager
+def _protocols_of(target: str) -> Iterator[None]:
+    """Let FFmpeg open the ports that a session description names: by default a file may name files only."""
+    if not target.lower().endswith(SESSION_SUFFIX):
+        yield
+        return
+    with _session_lock:
+        before = os.environ.get(_OPTIONS)
+        os.environ[_OPTIONS] = _SESSION_OPTIONS
+        try:
+            yield
+        finally:
+            if before is None:
+                del os.environ[_OPTIONS]
+            else:
+                os.environ[_OPTIONS] = before
 
 
 def sane_fps(capture: cv2.VideoCapture) -> float | None:

@@ -16,14 +16,24 @@ import cv2
 from psiamfcpp.errors import UserError
 from psiamfcpp.geometry import Image
 from psiamfcpp.images import IMAGE_SUFFIXES, ImageReader, image_files
-from psiamfcpp.video.capture import FALLBACK_FPS, ended_early, sane_count, sane_fps
+from psiamfcpp.video.capture import (
+    FALLBACK_FPS,
+    SESSION_SUFFIX,
+    ended_early,
+    has_gstreamer,
+    is_pipeline,
+    sane_count,
+    sane_fps,
+)
 from psiamfcpp.video.live import LiveReader
 from psiamfcpp.video.seek import Reel
 from psiamfcpp.video.streams import Stream, is_whole, open_other_stream
 
 _CAMERA_DIGITS = 4
-_URL_SCHEMES = ("rtsp://", "rtsps://", "http://", "https://")
-_KINDS = "a video, a camera number, an rtsp:// or http:// address, a folder of images or a glob of them"
+_URL_SCHEMES = tuple(
+    f"{scheme}://" for scheme in ("rtsp", "rtsps", "http", "https", "udp", "srt", "rtmp", "rtmps", "tcp")
+)
+_KINDS = "a video, a camera number, an address (rtsp://, udp://, http://), a folder of images or a glob of them"
 
 
 @dataclass
@@ -87,8 +97,9 @@ def open_source(
     and when they fall silent they are opened again and again, with growing pauses.
 
     Args:
-        source: a video or image file, a camera number (``0`` or ``"0"``), an rtsp, http or https address, a
-            folder of images, or a glob of images (``"frames/*.jpg"``).
+        source: a video or image file, a camera number (``0`` or ``"0"``), an address (rtsp, http, udp, srt, rtmp or
+            tcp, as far as the installed OpenCV takes it), a session description (``.sdp``), a GStreamer pipeline
+            (``"... ! appsink"``), a folder of images, or a glob of images (``"frames/*.jpg"``).
         fps: frames a second, instead of what the container says (or of 30 where it says nothing sane).
         on_event: receives one line when a live source breaks off and when it is back; called while the next
             frame is asked for, in the thread that asks.
@@ -108,6 +119,10 @@ def open_source(
             raise UserError(f"camera {text[:40]} cannot be opened: give a number from 0 to {10**_CAMERA_DIGITS - 1}")
         return _live(int(text), f"camera {text}", fps, on_event, reconnect_s, timeout_s)
     _check_name(text)
+    if is_pipeline(text):
+        if not has_gstreamer():
+            raise UserError("this OpenCV has no GStreamer, so it runs no pipeline: install one that was built with it")
+        return _live(text, "pipeline", fps, on_event, reconnect_s, timeout_s)
     if text.lower().startswith(_URL_SCHEMES):
         return _live(text, f"stream {_without_password(text)}", fps, on_event, reconnect_s, timeout_s)
     try:
@@ -123,6 +138,8 @@ def open_source(
     if kind:
         if path.suffix.lower() in IMAGE_SUFFIXES:
             return _images([path], text, "", fps)
+        if path.suffix.lower() == SESSION_SUFFIX:
+            return _live(str(path.absolute()), f"session {text}", fps, on_event, reconnect_s, timeout_s)
         return _video(path, text, fps)
     if glob.has_magic(text):
         found = (Path(p) for p in glob.glob(str(path), recursive=True))  # noqa: PTH207 - the pattern may be absolute

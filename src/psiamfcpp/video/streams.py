@@ -41,6 +41,16 @@ class Stream:
     close: Callable[[], None]
 
 
+def has_sound(source: str) -> bool:
+    """Return whether a source is a file with a sound track; False where PyAV, which tells, is not installed."""
+    with contextlib.suppress(Exception):
+        import av
+
+        with Path(source).open("rb") as file, av.open(file, metadata_errors="ignore") as looked_at:
+            return bool(looked_at.streams.audio)
+    return False
+
+
 def open_other_stream(path: Path) -> Stream | None:
     """Open the video stream that is meant, where OpenCV would read another, or lose most of it.
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import importlib.util
 import math
 import os
 from fractions import Fraction
@@ -284,9 +285,10 @@ class _Mpeg4:
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
 
+def writes_h264() -> bool:
+    """Return whether videos are written as H.264, which browsers play; as MPEG-4 they are played by few."""
+    return importlib.util.find_spec("av") is not None
+
+
 def _encoder(path: Path, fps: float, size: tuple[int, int]) -> _H264 | _Mpeg4:
-    try:
-        import av  # noqa: F401
-    except ImportError:
-        return _Mpeg4(path, fps, size)
-    return _H264(path, fps, size)
+    return _H264(path, fps, size) if writes_h264() else _Mpeg4(path, fps, size)
