@@ -22,6 +22,7 @@ def shelf(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     for name in ("big-one.safetensors", "small-one.safetensors", "small-one.md", "notes.txt"):
         (folder / name).touch()
     monkeypatch.setattr(zoo, "_FOLDER", folder)
+    monkeypatch.setattr(zoo, "_WEIGHTS", "no_such_package")
     return folder
 
 
@@ -56,10 +57,24 @@ def test_every_shipped_model_loads_is_small_and_has_a_card() -> None:
     for name in zoo.names():
         path = zoo.weights_path(name)
         assert path.stat().st_size <= 20e6, f"{name} is above 20 MB"
-        card = path.with_suffix(".md")
+        card = FOLDER / f"{name}.md"
         assert card.is_file(), f"{name} has no model card"
         assert card.read_text().strip(), f"the card of {name} is empty"
         assert load(name).spec.provenance, f"{name} does not say where it comes from"
+
+
+def test_the_package_holds_the_pruned_graphs_and_the_weights_the_rest() -> None:
+    own = {path.name for path in FOLDER.iterdir() if path.is_dir() and path.name != "__pycache__"}
+    assert own == {"psiamfcpp-alexnet-int8", "psiamfcpp-alexnet-n-int8", "psiamfcpp-alexnet-s-int8"}
+    assert set(zoo._ELSEWHERE) == {*zoo.names(), *zoo.graph_names()} - own
+
+
+@pytest.mark.parametrize("name", zoo._ELSEWHERE)
+def test_a_model_of_the_weights_is_named_where_they_are_missing(monkeypatch: pytest.MonkeyPatch, name: str) -> None:
+    monkeypatch.setattr(zoo, "_WEIGHTS", "no_such_package")
+    assert name not in zoo.names() + zoo.graph_names()
+    with pytest.raises(UserError, match=rf"'{name}' is part of psiamfcpp-weights, .* pip install \./weights"):
+        zoo.weights_path(name)
 
 
 def test_no_card_is_left_without_its_model() -> None:

@@ -47,8 +47,8 @@ def demo(
     check_new([output], overwrite or output == DEFAULT_OUTPUT)
     if frames < 2:
         raise UserError(f"frames is {frames}: a clip needs at least 2")
-    say_of_video()
     pool = TargetPool(tracker or model, options=options)
+    say_of_video()
     shots = render(seed, frames)
     first = next(shots)
     clip: list[DemoFrame] = []

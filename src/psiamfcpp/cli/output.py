@@ -22,7 +22,8 @@ LINE_SECONDS = 10.0
 """between two lines of progress; what is done sooner prints none"""
 
 # Standard output is for results; what is said on the way goes to standard error.
-notes = Console(stderr=True, highlight=False, soft_wrap=True)
+# Without markup, since names of files and of extras may hold brackets.
+notes = Console(stderr=True, highlight=False, markup=False, soft_wrap=True)
 
 
 def print_json(result: dict[str, Any]) -> None:

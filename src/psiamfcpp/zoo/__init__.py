@@ -1,12 +1,14 @@
-"""Models shipped inside the package, each with a model card.
+"""Shipped models, each with a model card.
 
 A model NAME is a checkpoint, ``NAME.safetensors``, to look into and to train on; the folders ``NAME`` and ``NAME-int8``
-hold the graphs that were exported from it, to track with.
+hold the graphs that were exported from it, to track with. The package holds the 8-bit graphs of the pruned models. The
+rest lies in a distribution of its own, ``psiamfcpp-weights``, and is found once that is installed.
 """
 
 from __future__ import annotations
 
 import difflib
+import importlib.util
 from pathlib import Path
 
 from psiamfcpp.errors import UserError
@@ -14,16 +16,30 @@ from psiamfcpp.errors import UserError
 DEFAULT_MODEL = "psiamfcpp-alexnet-int8"
 
 _FOLDER = Path(__file__).parent
+_WEIGHTS = "psiamfcpp_weights"
+# What the distribution of weights holds, so that it can be named where it is missing.
+_ELSEWHERE = (
+    "psiamfcpp-alexnet",
+    "psiamfcpp-alexnet-n",
+    "psiamfcpp-alexnet-s",
+    "siamfcpp-alexnet",
+    "siamfcpp-alexnet-int8",
+)
+
+
+def _folders() -> list[Path]:
+    found = importlib.util.find_spec(_WEIGHTS)
+    return [_FOLDER, *map(Path, found.submodule_search_locations or () if found else ())]
 
 
 def names() -> list[str]:
     """Names of the shipped checkpoints."""
-    return sorted(path.stem for path in _FOLDER.glob("*.safetensors"))
+    return sorted(path.stem for folder in _folders() for path in folder.glob("*.safetensors"))
 
 
 def graph_names() -> list[str]:
     """Names of the shipped folders of graphs."""
-    return sorted(path.parent.name for path in _FOLDER.glob("*/search.onnx"))
+    return sorted(path.parent.name for folder in _folders() for path in folder.glob("*/search.onnx"))
 
 
 def weights_path(path_or_name: str | Path) -> Path:
@@ -33,10 +49,15 @@ def weights_path(path_or_name: str | Path) -> Path:
         UserError: neither a shipped model nor a file; names the nearest model.
     """
     if str(path_or_name) in names():
-        return _FOLDER / f"{path_or_name}.safetensors"
+        return next(path for folder in _folders() if (path := folder / f"{path_or_name}.safetensors").exists())
     path = Path(path_or_name)
     if path.is_file():
         return path
+    if str(path_or_name) in _ELSEWHERE and importlib.util.find_spec(_WEIGHTS) is None:
+        raise UserError(
+            f"model {str(path_or_name)!r} is part of psiamfcpp-weights, which is not installed: "
+            "in a clone of psiamfcpp, pip install ./weights"
+        )
     if graph_folder(path_or_name):
         raise UserError(
             f"model {str(path_or_name)!r} holds graphs only, and this needs a checkpoint: {_known(names())}"
@@ -50,7 +71,7 @@ def weights_path(path_or_name: str | Path) -> Path:
 def graph_folder(path_or_name: str | Path) -> Path | None:
     """The folder of graphs of a shipped model's name, or the path itself if it is one; None if there is none."""
     if str(path_or_name) in graph_names():
-        return _FOLDER / str(path_or_name)
+        return next(path for folder in _folders() if (path := folder / str(path_or_name)).is_dir())
     path = Path(path_or_name)
     return path if any(path.glob("search.*")) else None
 

@@ -1,0 +1,1 @@
+"""Checkpoints and float graphs of the models of psiamfcpp; `psiamfcpp.zoo` finds them."""
