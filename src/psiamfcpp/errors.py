@@ -4,7 +4,7 @@ from __future__ import annotations
 
 
 class UserError(Exception):
-    """Something that the user can mend: its message is one line that names the thing and the mend.
+    """Something that the user can fix: its message is one line that names the thing and the fix.
 
     The command line prints it to standard error and exits with code 2.
     """

@@ -56,7 +56,7 @@ class Calibration:
     lost_below: float = 0.2
     """confidence under which a frame is doubted; a run of such frames means lost"""
     regain_above: float = 0.8
-    """confidence that takes a lost target up again elsewhere than where it was lost"""
+    """confidence that re-acquires a lost target elsewhere than where it was lost"""
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""How a recipe tells what it is doing: a note, or progress over the items of a loop."""
+"""How a recipe reports what it is doing: a note, or progress over the items of a loop."""
 
 from __future__ import annotations
 

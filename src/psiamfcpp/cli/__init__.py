@@ -36,7 +36,7 @@ COMMANDS = {
     "plan": "choose the filters to keep: shares, thresholds, the paper's, or a budget",
     "prune": "cut a model down to the filters that a plan keeps",
     "sensitivity": "what pruning each layer costs, and what other criteria are worth",
-    "calibrate": "fit the confidence that parts tracking, unsure and lost",
+    "calibrate": "fit the confidence that separates tracking, unsure and lost",
     "bench": "time models, engines and peers in turn, and say where the time goes",
     "export": "write the graphs that run a model without torch, checked against it",
     "import": "convert an official SiamFC++ checkpoint or LightFC's graphs",
@@ -77,7 +77,7 @@ def main(args: list[str] | None = None) -> int:
         else:
             with ended_like_ctrl_c():
                 _run(args[0], args[1:])
-        # Now, not at exit, where a reader that has left could no longer be told from a fault.
+        # Now, not at exit, where a reader that has left would look like a fault.
         sys.stdout.flush()
         return 0
     except UserError as error:

@@ -92,5 +92,5 @@ def parse_box(text: str) -> Box:
     try:
         x, y, w, h = (float(part) for part in text.split(","))
     except ValueError:
-        raise UserError(f"box {text!r} is not x,y,w,h: four numbers, parted by commas") from None
+        raise UserError(f"box {text!r} is not x,y,w,h: four numbers, separated by commas") from None
     return (x, y, w, h)

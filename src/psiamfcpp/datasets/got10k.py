@@ -39,7 +39,7 @@ def read(root: Path) -> list[Sequence]:
 
 
 def read_labels(path: Path) -> NDArray[np.int64]:
-    """The whole numbers of a label file, one a frame, parted by commas, blanks or line ends.
+    """The whole numbers of a label file, one per frame, separated by commas, blanks or line ends.
 
     Raises:
         UserError: the file cannot be read or holds something else.

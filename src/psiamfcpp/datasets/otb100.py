@@ -14,7 +14,7 @@ from psiamfcpp.images import image_files
 
 LAYOUT = "<root>/<sequence>/img/0001.jpg and <root>/<sequence>/groundtruth_rect.txt (or .1.txt and .2.txt)"
 
-# The number of the first labelled frame where that is not 1. How many rows there are tells where the labels end:
+# The number of the first labelled frame where that is not 1. The number of rows says where the labels end:
 # the folders of Diving, Football1, Freeman3 and Freeman4 hold more frames than that.
 _FIRST_FRAME = {"BlurCar1": 247, "BlurCar3": 3, "BlurCar4": 18, "David": 300}
 

@@ -1,7 +1,7 @@
 """UAV123, UAV20L and UAV123@10fps (Mueller et al., ECCV 2016): long videos, cut into sequences by frame ranges.
 
 `car1_1` and `car1_2` are parts of the folder `car1`. Which frames a sequence has stands in ``configSeqs.m`` of the
-authors' MATLAB toolkit. Where that is not at hand, the ranges at 10 frames a second, which are shipped here, tell those
+authors' MATLAB toolkit. Where that is not at hand, the ranges at 10 frames a second, which are shipped here, give those
 of UAV123 too, since they are of every third frame; the sequences of UAV20L are whole videos.
 """
 
@@ -90,7 +90,7 @@ UAV123_10FPS = Uav123("uav123-10fps", "UAV123_10fps", "UAV123_10fps")
 
 def _choose(name: str, rows: int, ranges: list[_Range], own: int) -> _Range:
     """The range that holds as many frames as there are labels; ``own`` is how many a folder of the name itself has."""
-    # configSeqs.m lists UAV123 and UAV20L, which share names and folders: the number of labels tells them apart.
+    # configSeqs.m lists UAV123 and UAV20L, which share names and folders: the number of labels separates them.
     fitting = [part for part in ranges if part.last - part.first + 1 == rows]
     if fitting:
         return fitting[0]

@@ -56,7 +56,7 @@ class _Vehicle:
 def render(seed: int = 0, frames: int = 300, size: tuple[int, int] = (1280, 720)) -> Iterator[DemoFrame]:
     """Render the clip frame by frame; the same arguments give the same frames.
 
-    However many frames it has, the clip tells the whole ride. At 1280x720 the target is about 35 to 70 pixels
+    However many frames it has, the clip shows the whole ride. At 1280x720 the target is about 35 to 70 pixels
     long; it grows and shrinks with the frame.
 
     Args:

@@ -1,4 +1,4 @@
-"""Vehicles as a drone sees them, from straight above, and how they are laid into a picture."""
+"""Vehicles as a drone sees them, from straight above, and how they are drawn into an image."""
 
 from __future__ import annotations
 
@@ -76,16 +76,16 @@ def truck(colour: Colour) -> Sprite:
 
 
 def stamp(image: Image, layer: NDArray[np.float32], to_image: Affine, cover: tuple[Image, Affine] | None) -> float:
-    """Lay a sprite's layer into a picture, in place.
+    """Draw a sprite's layer into an image, in place.
 
     Args:
         image: ``(H, W, 3)`` uint8 BGR.
         layer: ``pixels`` or ``shadow`` of a `Sprite`.
-        to_image: ``(2, 3)``: from the layer's pixels to the picture's.
-        cover: what lies above: a mask (0 open .. 255 covered), ``(2, 3)`` from its pixels to the picture's.
+        to_image: ``(2, 3)``: from the layer's pixels to the image's.
+        cover: what lies above: a mask (0 open .. 255 covered), ``(2, 3)`` from its pixels to the image's.
 
     Returns:
-        The share of the layer that is not covered, 0 to 1; what lies outside the picture does not count.
+        The share of the layer that is not covered, 0 to 1; what lies outside the image does not count.
     """
     height, width = layer.shape[:2]
     corners = np.array([[0, 0, 1], [width, 0, 1], [0, height, 1], [width, height, 1]]) @ to_image.T

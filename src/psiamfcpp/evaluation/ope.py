@@ -36,7 +36,7 @@ def first_label(sequence: Sequence) -> int:
     """
     usable = sequence.usable()
     if not len(usable):
-        raise UserError("no label is a box that a tracker can begin with: mend the labels")
+        raise UserError("no label is a box that a tracker can begin with: fix the labels")
     return int(usable[0])
 
 

@@ -2,7 +2,7 @@
 
 A folder of results holds one tracker's sequences, or a folder a tracker. A sequence is
 
-* ``<sequence>.txt``: a box a line, parted by commas, tabs or blanks (pysot, the GOT-10k toolkit, this package);
+* ``<sequence>.txt``: one box per line, separated by commas, tabs or blanks (pysot, the GOT-10k toolkit, this package);
 * ``<sequence>/<sequence>_001.txt``: results on GOT-10k itself;
 * ``<sequence>.mat`` or ``<sequence>_<tracker>.mat``: the toolkits of OTB, UAV123 and the correlation filters.
 """
@@ -101,7 +101,7 @@ def read_speed(files: Files) -> Speed | None:
     """Speed from the files of times, ``<sequence>_time.txt``; the first frame does not count.
 
     They lie beside the results, or in a folder ``times`` there, as the GOT-10k toolkit leaves them for OTB and UAV123.
-    None where a sequence has no such file, or the times in it tell nothing.
+    None where a sequence has no such file, or the times in it are no times.
 
     Raises:
         UserError: a file of times is damaged.

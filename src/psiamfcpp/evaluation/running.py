@@ -102,7 +102,7 @@ def is_done(folder: Path, sequence: Sequence) -> bool:
         start = first_label(sequence)
     except UserError:
         return False
-    # a sequence whose labels were mended is another one
+    # a sequence whose labels were corrected is another one
     return len(boxes) == len(times) == len(sequence) and np.allclose(boxes[start], sequence.boxes[start], atol=1e-3)
 
 
@@ -215,10 +215,10 @@ def _with_threads(choice: TrackerChoice, jobs: int, cluster: str | None) -> Trac
     return replace(choice, options=replace(choice.options, threads=threads))
 
 
-def _check_names(names: list[str], what: str, mend: str) -> None:
+def _check_names(names: list[str], what: str, fix: str) -> None:
     twice = next((name for name in names if names.count(name) > 1), None)
     if twice is not None:
-        raise UserError(f"two {what} are called {twice}: {mend}")
+        raise UserError(f"two {what} are called {twice}: {fix}")
 
 
 def _check_run(folder: Path, choice: TrackerChoice) -> dict[str, Any] | None:

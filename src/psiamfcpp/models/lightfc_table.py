@@ -15,7 +15,7 @@ _STEM, _EXPANSION = 32, 6
 _BLOCKS = ((24, 2), (24, 1), (32, 2), (32, 1), (32, 1), *[(64, 2)] + [(64, 1)] * 3, *[(96, 1)] * 3)
 # Cells of the template's map of 8x8: what the correlation has as channels.
 _CELLS = 64
-# Maps of each head, and what follows the last layer: score, size and offset are told apart by it.
+# Maps of each head, and what follows the last layer: it distinguishes score, size and offset.
 HEADS: dict[str, tuple[int, str | None]] = {"score": (1, "sigmoid"), "size": (2, "sigmoid"), "offset": (2, None)}
 _HEAD_WIDTHS, _SQUEEZED = (256, 128, 64, 32), 64
 

@@ -134,7 +134,7 @@ def convolution_of(model: nn.Module, block: str) -> nn.Conv2d:
 
 
 def _marked(outputs: Any) -> list[torch.Tensor]:
-    """The outputs after one more operation each, by which torch-pruning tells where a network ends."""
+    """The outputs after one more operation each, by which torch-pruning finds where a network ends."""
     if isinstance(outputs, torch.Tensor):
         return [outputs * 1] if outputs.requires_grad else []
     if isinstance(outputs, dict):

@@ -1,4 +1,4 @@
-"""The ranks as a picture: one panel a group."""
+"""The ranks as a plot: one panel per group."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from psiamfcpp.files import whole
 from psiamfcpp.pruning.table import RankTable
 
 
-def draw_ranks(table: RankTable, picture: Path) -> None:
+def draw_ranks(table: RankTable, image: Path) -> None:
     """Draw each group's ranks, highest first, as shares of the highest that the maps' sizes allow.
 
     Args:
         table: the ranks.
-        picture: PNG to write.
+        image: PNG to write.
 
     Raises:
-        UserError: the picture cannot be written.
+        UserError: the image cannot be written.
     """
     import matplotlib
 
@@ -46,6 +46,6 @@ def draw_ranks(table: RankTable, picture: Path) -> None:
     panels.flat[0].legend(fontsize=7)
     figure.supxlabel("filters, highest rank first", fontsize=9)
     figure.supylabel(f"share of the highest possible rank, {table.images} images", fontsize=9)
-    with whole(picture) as temporary:
+    with whole(image) as temporary:
         figure.savefig(temporary, format="png", dpi=100)
     plt.close(figure)

@@ -33,7 +33,7 @@ class Looked:
 def rank(model: nn.Module, batches: Iterable[Any], groups: Mapping[str, Group] | None = None) -> RankTable:
     """Average rank of each filter's map over images.
 
-    A filter's map is the output of its convolution after the BatchNorm and activation modules that take it up at
+    A filter's map is the output of its convolution after the BatchNorm and activation modules that read it at
     once. Ranks are counted as NumPy's ``matrix_rank`` counts them: see `TOLERANCE`.
 
     Args:
@@ -140,7 +140,7 @@ def _looked(name: str, maps: list[Tensor]) -> Looked:
 def _watch(model: nn.Module, blocks: Mapping[str, str]) -> Iterator[dict[str, list[Tensor]]]:
     """Collects the maps of each group while the network runs.
 
-    A block's output is followed through the BatchNorm and activation modules that take it up unchanged. Copies are
+    A block's output is followed through the BatchNorm and activation modules that read it unchanged. Copies are
     kept, because a network may write into its maps afterwards.
     """
     maps: dict[str, list[Tensor]] = {name: [] for name in blocks.values()}

@@ -1,4 +1,4 @@
-"""Ranks image by image: what a ranking that was stopped goes on from, and what tells how stable an order is."""
+"""Ranks image by image: what a ranking that was stopped goes on from, and how stable an order is."""
 
 from __future__ import annotations
 

@@ -51,7 +51,7 @@ def calibrate(
         search_size: side of the search crop in pixels, to calibrate with and to store; by default the model's own.
         held_out_every: use only the clips that training with this value held out; 1 uses all.
         half: store the weights in half precision, for sharing.
-        watch: is told how many clips there are.
+        watch: receives the number of clips.
 
     Raises:
         UserError: fewer than two clips, a model that finds nothing, or a file that cannot be read or written.

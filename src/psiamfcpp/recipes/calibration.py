@@ -20,7 +20,7 @@ from psiamfcpp.trackers.siamfcpp.confidence import confidence
 from psiamfcpp.trackers.siamfcpp.procedure import Target
 
 # Unsure is what is more likely wrong than right; doubted, what is wrong at odds of ninety-nine to one, since clips to
-# calibrate on are easier than flights: at nineteen to one, targets in flight that were followed rightly were let go.
+# calibrate on are easier than flights: at nineteen to one, targets that were followed correctly in flight were lost.
 UNSURE_BELOW, LOST_BELOW = 0.5, 0.01
 # Of single frames without the target, the share that may be taken for it when a lost one is looked for.
 FALSE_REGAIN_SHARE = 0.005
@@ -117,7 +117,7 @@ def fit(looks: Looks) -> Calibration:
     bias, score_weight, contrast_weight = _logistic(features, labels, weights)
     calibration = Calibration(bias, score_weight, contrast_weight, UNSURE_BELOW, LOST_BELOW)
     absent = confidences(looks, calibration)[looks.absent]
-    # Where both kinds lie far apart, what would be doubted at once must still not be taken up again.
+    # Where both kinds lie far apart, what would be doubted at once must still not be re-acquired.
     regain = max(UNSURE_BELOW, float(np.quantile(absent, 1 - FALSE_REGAIN_SHARE)))
     return dataclasses.replace(calibration, regain_above=regain)
 

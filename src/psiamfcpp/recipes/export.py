@@ -66,7 +66,7 @@ def export(
         root: folder of sequences to follow with the network in torch and with the graphs, plainly, and compare.
         pairs: targets to calibrate on; a quarter as many others serve the check.
         layer_loss: with ``int8``, layers stay in float whose 8 bits alone cost more than this of the boxes' overlap.
-        watch: is told of each layer.
+        watch: receives a note on each layer.
 
     Raises:
         UserError: something cannot be read or written, or the graphs are too far from the network.

@@ -34,7 +34,7 @@ def find_benchmark(benchmark: Benchmark, root: Path) -> Found | None:
     place = next((path for path in named if benchmark.label_files(path)), named[0] if named else root)
     found = Found(str(place))
     try:
-        # A plain folder of labels could be anybody's: its name must tell.
+        # A plain folder of labels could be anybody's: its name must decide.
         if not named and not benchmark.label_files(place):
             return None
         labels = benchmark.read_labels(place)

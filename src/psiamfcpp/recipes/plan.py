@@ -91,7 +91,7 @@ def plan(
         multiple: with a target: number whose multiples the widths of pruned groups are.
         search_size: side of the search crop to count and to time at; by default that of the table's model.
         timing: how candidates are run to be timed.
-        watch: is told of each time.
+        watch: receives each time.
 
     Raises:
         UserError: not exactly one option, a value out of range, a table of other groups, or a target out of reach.

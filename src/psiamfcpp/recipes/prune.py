@@ -60,7 +60,7 @@ def prune(
         images: pairs of crops to fit with, drawn as by `psiamfcpp.recipes.rank.rank`.
         seed: of the draw.
         held_out_every: the N of training: one clip in N is not drawn from; 0 draws from all.
-        watch: is told of the progress.
+        watch: receives progress.
 
     Raises:
         UserError: a file cannot be read or written, the plan is for another model, or the data hold nothing to draw.

@@ -49,7 +49,7 @@ def rank(
         batch: pairs per forward pass.
         seed: of the draw.
         held_out_every: the N of training: one clip in N is not drawn from; 0 draws from all.
-        watch: is told of the progress.
+        watch: receives progress.
 
     Returns:
         The table; its ``about`` says how it was made and how stable the order is.

@@ -65,7 +65,7 @@ def sensitivity(
         rows: layers to prune alone; by default the rows of the architecture, for SiamFC++ the paper's nine.
         shares: shares of their filters to KEEP; by default `SHARES`.
         jobs: processes to share the work, one thread each.
-        watch: is told of the progress.
+        watch: receives progress.
 
     Returns:
         The result of each network, see `measure_all`, in the order of the tables.

@@ -1,4 +1,4 @@
-"""The measured cells as a table of text, as CSV and as a picture."""
+"""The measured cells as a table of text, as CSV and as a plot."""
 
 from __future__ import annotations
 
@@ -49,11 +49,11 @@ def write_csv(results: list[dict[str, Any]], path: Path) -> None:
         writer.writerows({field: r[field] for field in FIELDS} for r in results)
 
 
-def draw_sensitivity(results: list[dict[str, Any]], picture: Path) -> None:
+def draw_sensitivity(results: list[dict[str, Any]], image: Path) -> None:
     """Precision against the share kept, a line a row; without fine-tuning on the left, with it on the right.
 
     Raises:
-        UserError: the picture cannot be written.
+        UserError: the image cannot be written.
     """
     import matplotlib
 
@@ -74,6 +74,6 @@ def draw_sensitivity(results: list[dict[str, Any]], picture: Path) -> None:
         axes.set_title("fine-tuned" if tuned else "not fine-tuned", fontsize=10)
         axes.grid(alpha=0.3)
     panels.flat[0].legend(fontsize=7)
-    with whole(picture) as temporary:
+    with whole(image) as temporary:
         figure.savefig(temporary, format="png", dpi=100)
     plt.close(figure)

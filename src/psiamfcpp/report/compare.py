@@ -53,9 +53,9 @@ def collect(results: list[Path], roots: dict[str, Path] | None = None, allow_mis
     """Score every tracker in folders of results, benchmark by benchmark.
 
     Args:
-        results: folders that `psiamfcpp evaluate` wrote, which tell the benchmark and its root; with ``roots`` also
+        results: folders that `psiamfcpp evaluate` wrote, which name the benchmark and its root; with ``roots`` also
             those of others.
-        roots: labels by benchmark (see `Benchmark.read_labels`); goes before what the folders tell.
+        roots: labels by benchmark (see `Benchmark.read_labels`); goes before what the folders name.
         allow_missing: score a tracker on the sequences that it has.
 
     Raises:

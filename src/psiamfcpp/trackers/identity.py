@@ -1,4 +1,4 @@
-"""Checksums of model files, by which runs tell one tracker from another of the same name."""
+"""Checksums of model files, by which runs distinguish trackers of the same name."""
 
 from __future__ import annotations
 

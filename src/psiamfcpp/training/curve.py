@@ -1,4 +1,4 @@
-"""The training curve as a picture."""
+"""The training curve as an image."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ from psiamfcpp.errors import UserError
 from psiamfcpp.files import whole
 
 
-def draw_curve(log: Path, picture: Path) -> None:
+def draw_curve(log: Path, image: Path) -> None:
     """Draw the losses and the held-out pair score of a log.
 
     Args:
         log: the run's ``log.jsonl``.
-        picture: PNG to write.
+        image: PNG to write.
 
     Raises:
-        UserError: the log is missing or damaged, or the picture cannot be written.
+        UserError: the log is missing or damaged, or the image cannot be written.
     """
     import matplotlib
 
@@ -49,6 +49,6 @@ def draw_curve(log: Path, picture: Path) -> None:
     right.legend(loc="lower right")
     for axes in (left, right):
         axes.grid(alpha=0.3)
-    with whole(picture) as temporary:
+    with whole(image) as temporary:
         figure.savefig(temporary, format="png", dpi=100)
     plt.close(figure)

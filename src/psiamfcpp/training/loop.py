@@ -213,7 +213,7 @@ def bf16_pays(device: torch.device) -> bool:
 def _keep_freed_memory() -> None:
     """Have glibc keep what is freed: giving every step's large maps back to the kernel, to be zeroed again, is slow."""
     mmap_threshold, trim_threshold = -3, -1
-    # Elsewhere than on glibc there is nothing to tell.
+    # Other C libraries have no such setting.
     with contextlib.suppress(OSError, AttributeError):
         libc = ctypes.CDLL("libc.so.6")
         for parameter in (mmap_threshold, trim_threshold):
@@ -301,7 +301,7 @@ def _resume(
     optimizer: torch.optim.Optimizer,
     options: TrainOptions,
 ) -> int:
-    """Take up the saved state, if any; the step to go on from."""
+    """Load the saved state, if any, and return the step to continue from."""
     if not path.exists():
         return 0
     try:

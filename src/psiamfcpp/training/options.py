@@ -32,7 +32,7 @@ class PairOptions:
     scale: float = 0.3
     """largest change of scale of the search crop: the factor lies in [1/(1+scale), 1+scale]"""
     negatives: float = 0.1
-    """share of pairs whose search crop shows another object, of the same picture where there is one"""
+    """share of pairs whose search crop shows another object, of the same image where there is one"""
     max_gap: int = 100
     """largest number of frames between the two crops of a clip"""
     clip_share: float = 0.5

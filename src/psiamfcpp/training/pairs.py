@@ -28,7 +28,7 @@ Corners = tuple[float, float, float, float]
 
 _DEFAULT = architecture(DEFAULT)
 
-# Objects with a smaller geometric mean side hold too few pixels to be told from their surroundings.
+# Objects with a smaller geometric mean side hold too few pixels to be distinguished from their surroundings.
 _SMALLEST_SIDE = 5.0
 
 
@@ -51,7 +51,7 @@ class Pair:
 class PairSampler:
     """Draws pairs from sequences, source by source.
 
-    A source's weight is the square root of the number of its pictures or clips, so that large ones count more but
+    A source's weight is the square root of the number of its images or clips, so that large ones count more but
     drown nobody. Pictures of a source are equally likely, however many objects they hold.
     """
 
@@ -108,7 +108,7 @@ class PairSampler:
         return first, _pick(rows[low:high], rng)
 
     def _negative(self, kind: _Kind, target: _Target, row: int, rng: Generator) -> tuple[_Target, int, bool]:
-        """Where to look instead: at another object of the picture, or at another picture, of the same source or not.
+        """Where to look instead: at another object of the image, or at another image, of the same source or not.
 
         In the first case the target counts as present: it is, though mostly too far off for any cell.
         """
@@ -227,12 +227,12 @@ class _Kind:
         self._up_to = shares / shares[-1]
 
     def draw(self, rng: Generator, source: str | None = None) -> _Target:
-        """An object of a picture of a source; of the given source, if there is a picture filed under it."""
+        """An object of an image of a source; of the given source, if there is an image filed under it."""
         if source not in self._sources:
             source = self._names[int(np.searchsorted(self._up_to, rng.random(), side="right"))]
-        pictures = self._sources[source]
-        picture = pictures[int(rng.integers(len(pictures)))]
-        return picture[int(rng.integers(len(picture)))]
+        images = self._sources[source]
+        image = images[int(rng.integers(len(images)))]
+        return image[int(rng.integers(len(image)))]
 
     def beside(self, target: _Target, row: int) -> list[_Target]:
         """The other labelled objects of the frame that shows a target in a row of its own."""
@@ -266,7 +266,7 @@ def _template_jitter(strength: float, flip: float, rng: Generator) -> Jitter:
 
 
 def _search_jitter(options: PairOptions, reach: float, is_clip: bool, flip: float, rng: Generator) -> Jitter:
-    """Shift within the score map's reach, and scale; turn mostly where both crops show the same picture."""
+    """Shift within the score map's reach, and scale; turn mostly where both crops show the same image."""
     # From above, targets turn as far as they like; most other changes of a camera's roll are small.
     turned = rng.random() < (0.3 if is_clip else 0.5)
     turn = rng.uniform(-np.pi / 2, np.pi / 2) if rng.random() < 0.2 else rng.normal(0, 0.22)

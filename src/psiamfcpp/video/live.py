@@ -53,12 +53,12 @@ class LiveReader:
         self._done = False
         opened = self._connect(timeout_s)
         if opened is None:
-            mend = (
+            fix = (
                 "check that it is plugged in, permitted and not in use"
                 if isinstance(target, int)
                 else "check the address and that it is being served"
             )
-            raise UserError(f"{name} cannot be opened or gives no picture: {mend}")
+            raise UserError(f"{name} cannot be opened or gives no frame: {fix}")
         capture, first = opened
         self._length, self._rate = sane_count(capture), sane_fps(capture)
         self.fps = self._rate or FALLBACK_FPS

@@ -78,7 +78,7 @@ class Source:
         self._frames = self._from(number)
 
     def close(self) -> None:
-        """Let go of the file or device, and end a live source's reader thread; may be called twice."""
+        """Release the file or device, and end a live source's reader thread; may be called twice."""
         self._close()
         self._frames = iter(())
 
@@ -235,8 +235,8 @@ def _video_frames(
         yield frame
     alone = first is not None and reel.next == 1 and path.stat().st_size > _largest_as_image(first)
     if alone and importlib.util.find_spec("av") is None:
-        mend = "pip install 'psiamfcpp[video]' reads the rest"
-        raise UserError(f"video {name} holds more than the one image that can be read: {mend}")
+        fix = "pip install 'psiamfcpp[video]' reads the rest"
+        raise UserError(f"video {name} holds more than the one image that can be read: {fix}")
     _check_end(path, name, reel.next, position_s, count, rate)
 
 

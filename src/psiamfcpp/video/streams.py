@@ -25,7 +25,7 @@ from psiamfcpp.images import ImageReader
 if TYPE_CHECKING:
     import av
 
-# Enough to tell an image, or one frame a second, from a video.
+# Enough to distinguish an image, or one frame per second, from a video.
 _PACKETS = 500
 
 
@@ -42,7 +42,7 @@ class Stream:
 
 
 def has_sound(source: str) -> bool:
-    """Return whether a source is a file with a sound track; False where PyAV, which tells, is not installed."""
+    """Return whether a source is a file with a sound track; False where PyAV is not installed."""
     with contextlib.suppress(Exception):
         import av
 

@@ -232,10 +232,10 @@ class _H264:
         self._time_base, self._count = 1 / rate, 0
 
     def write(self, frame: Image) -> None:
-        picture = self._av.VideoFrame.from_ndarray(frame, format="bgr24")
-        picture.pts, picture.time_base = self._count, self._time_base
+        image = self._av.VideoFrame.from_ndarray(frame, format="bgr24")
+        image.pts, image.time_base = self._count, self._time_base
         self._count += 1
-        self._mux(picture)
+        self._mux(image)
 
     def hold(self, frames: int) -> None:
         self._count += frames
@@ -250,9 +250,9 @@ class _H264:
             except self._av.FFmpegError as error:
                 raise OSError(error.errno, error.strerror) from None
 
-    def _mux(self, picture: VideoFrame | None) -> None:
+    def _mux(self, image: VideoFrame | None) -> None:
         try:
-            self._container.mux(self._stream.encode(picture))
+            self._container.mux(self._stream.encode(image))
         except self._av.FFmpegError as error:
             raise OSError(error.errno, error.strerror) from None
 

@@ -1,4 +1,4 @@
-"""What has a say when a target was taken up again somewhere unexpected: the place where it was expected."""
+"""The check of a target that was re-acquired somewhere unexpected, against the place where it was expected."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _PULL = 0.5
 
 @dataclass
 class Contest:
-    """What was taken up against whatever appears where the target was expected."""
+    """What was re-acquired, against whatever appears where the target was expected."""
 
     place: Target
     """where to look: where the target would be, moving as when it was last seen, drawn to what is found there"""
@@ -30,9 +30,9 @@ class Contest:
         """Take one look at the place; whether what is found there has won.
 
         Args:
-            found: what was found there, apart from what was taken up.
-            sure: it could be taken up anywhere.
-            lead: its score less the score of what was taken up.
+            found: what was found there, apart from what was re-acquired.
+            sure: it could be re-acquired anywhere.
+            lead: its score less the score of what was re-acquired.
         """
         self.looks_left -= 1
         t = self.place
