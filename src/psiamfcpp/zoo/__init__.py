@@ -6,10 +6,12 @@ hold the graphs that were exported from it, to track with.
 
 from __future__ import annotations
 
+import contextlib
 import difflib
 from pathlib import Path
 
 from psiamfcpp.errors import UserError
+from psiamfcpp.files import is_file
 
 DEFAULT_MODEL = "psiamfcpp-alexnet-int8"
 
@@ -35,7 +37,7 @@ def weights_path(path_or_name: str | Path) -> Path:
     if str(path_or_name) in names():
         return _FOLDER / f"{path_or_name}.safetensors"
     path = Path(path_or_name)
-    if path.is_file():
+    if is_file(path):
         return path
     if graph_folder(path_or_name):
         raise UserError(
@@ -52,7 +54,9 @@ def graph_folder(path_or_name: str | Path) -> Path | None:
     if str(path_or_name) in graph_names():
         return _FOLDER / str(path_or_name)
     path = Path(path_or_name)
-    return path if any(path.glob("search.*")) else None
+    with contextlib.suppress(OSError, ValueError):
+        return path if any(path.glob("search.*")) else None
+    return None
 
 
 def model_files(path_or_name: str | Path) -> list[Path]:
