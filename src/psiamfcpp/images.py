@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import io
 import os
 import re
-import stat
+import zlib
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
@@ -14,10 +15,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from psiamfcpp.errors import UserError
+from psiamfcpp.files import is_file, read_bytes
 from psiamfcpp.geometry import Image
 
 # In percent: what is darker or brighter is cut off.
 _OUTLIERS = (0.1, 99.9)
+# How JPEG and PNG begin and end.
+_PNG = b"\x89PNG\r\n\x1a\n"
+_WHOLE = ((b"\xff\xd8", b"\xff\xd9"), (_PNG, b"IEND\xaeB`\x82"))
 IMAGE_SUFFIXES = {".bmp", ".jpeg", ".jpg", ".png", ".tif", ".tiff", ".webp"}
 
 
@@ -37,12 +42,11 @@ class ImageReader:
         Raises:
             UserError: the file is missing, is no file or cannot be decoded.
         """
+        # imread cannot open every name on every system
+        data = np.frombuffer(read_bytes(path, "image", "replace or remove it"), np.uint8)
         try:
-            # imread cannot open every name on every system
-            image = _decoded(_bytes(path))
-        except FileNotFoundError:
-            raise UserError(f"image {path} does not exist") from None
-        except (OSError, ValueError, cv2.error):
+            image = _decoded(data)
+        except cv2.error:
             image = None
         if image is None:
             raise UserError(f"image {path} cannot be read: replace or remove it")
@@ -71,20 +75,26 @@ def read_image(path: Path) -> Image:
     return ImageReader().read(path)
 
 
-def _bytes(path: Path) -> NDArray[np.uint8]:
-    """The content of a regular file; a pipe would be waited for without end, and a device may have no end."""
-    # without O_NONBLOCK already opening a pipe waits for its writer
-    descriptor = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
-    if not stat.S_ISREG(os.fstat(descriptor).st_mode):
-        os.close(descriptor)
-        raise UserError(f"image {path} is not a file: replace or remove it")
-    with os.fdopen(descriptor, "rb") as file:
-        return np.fromfile(file, dtype=np.uint8)
+def is_readable(path: Path) -> bool:
+    """Whether an image file can be read; most are only looked at, not decoded, since sets hold millions of them."""
+    try:
+        with path.open("rb") if is_file(path) else io.BytesIO() as file:
+            head = file.read(8)
+            file.seek(-min(len(head), 8), os.SEEK_END)
+            tail = file.read()
+    except OSError:
+        return False
+    if any(head.startswith(begin) and tail.endswith(end) for begin, end in _WHOLE):
+        return True
+    try:
+        return bool(len(read_image(path)))
+    except UserError:
+        return False
 
 
 def _decoded(data: NDArray[np.uint8]) -> NDArray[Any] | None:
     """The image in three channels and its own depth; None where it is none."""
-    if not data.size:
+    if not data.size or _is_damaged_png(data.tobytes() if data[0] == _PNG[0] else b""):
         return None
     quiet_opencv()
     image = cv2.imdecode(data, cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH)
@@ -94,6 +104,23 @@ def _decoded(data: NDArray[np.uint8]) -> NDArray[Any] | None:
     if image is None:
         return None
     return np.repeat(image[..., None], 3, axis=2) if image.ndim == 2 else image[..., :3]
+
+
+def _is_damaged_png(data: bytes) -> bool:
+    """Whether a PNG is cut, or a part of it is not as its checksum says; the decoder would print that itself."""
+    if not data.startswith(_PNG):
+        return False
+    at, kind, kinds = len(_PNG), b"", set[bytes]()
+    while kind != b"IEND":
+        size, kind = int.from_bytes(data[at : at + 4], "big"), data[at + 4 : at + 8]
+        end = at + 8 + size
+        stored = data[end : end + 4]
+        kinds.add(kind)
+        # of parts that may be left out, whose names begin with a small letter, the decoder only warns
+        if len(stored) < 4 or (kind[:1].isupper() and zlib.crc32(data[at + 4 : end]) != int.from_bytes(stored, "big")):
+            return True
+        at = end + 4
+    return not kinds >= {b"IHDR", b"IDAT"}
 
 
 def quiet_opencv() -> None:
