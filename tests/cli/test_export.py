@@ -59,9 +59,8 @@ def test_a_failed_check_writes_nothing(run: Run, tiny_model: Path, tmp_path: Pat
     monkeypatch.setattr("psiamfcpp.export.files.compare", lambda *_: Difference(0.5, 0.0, 1.0))
     args = ("export", tiny_model, "-o", tmp_path / "graphs", "--pairs", "4", "--data", f"folder:{data}")
     said = run(*args).refused()
-    assert said == (
-        "the graphs are not the network: scores differ by up to 0.5 and boxes by up to 0 pixels; nothing was written"
-    )
+    assert said.startswith("the graphs are not the network: scores differ by up to 0.5 and boxes by up to 0 pixels (")
+    assert said.endswith("; nothing was written")
     assert list(tmp_path.iterdir()) == [data]
 
 

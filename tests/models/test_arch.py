@@ -8,6 +8,7 @@ import sys
 import types
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 
@@ -115,7 +116,6 @@ def randomized(spec: ModelSpec) -> SiamFCpp:
     torch.manual_seed(0)
     network = build(spec).eval()
     with torch.no_grad():
-        network.get_submodule("backbone.conv1").conv.weight /= 50  # type: ignore[union-attr,operator]
         network.get_submodule("head.cls_score").bn.weight *= 3  # type: ignore[union-attr,operator]
     return network
 
@@ -160,6 +160,45 @@ def test_a_second_architecture_is_exported_and_run_by_its_table(
     opened = open_engine(str(tmp_path / "graphs"), engine)
     assert opened.spec == shallow
     assert opened.template(rendered(shallow, 1)[0].template)[0].shape[-1] == shallow.arch.side("neck.cls_search", 119)
+
+
+def test_a_first_kernel_of_any_odd_side_has_an_8_bit_form(monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("onnx")
+    from psiamfcpp.export.crops import rendered
+    from psiamfcpp.export.graph import Ranges, search_graph
+    from psiamfcpp.export.layers import layers
+    from psiamfcpp.export.quantize import measure, without
+    from psiamfcpp.runtime.onnx_engine import open_session
+
+    table = tuple(
+        dataclasses.replace(layer, kernel=7) if layer.name == "backbone.conv1" else layer for layer in ALEXNET.layers
+    )
+    module = types.ModuleType("seven_table")
+    module.ARCHITECTURE = dataclasses.replace(  # type: ignore[attr-defined]
+        ALEXNET, layers=table, template_size=123, sizes=(187,)
+    )
+    monkeypatch.setitem(sys.modules, "seven_table", module)
+    monkeypatch.setitem(ARCHITECTURES, "seven", "seven_table")
+    spec = ModelSpec({name: 4 for name in architecture("seven").groups}, search_size=187, architecture="seven")
+    with pytest.raises(UserError, match=r"crops of 123 pixels leave a rest in the pool of backbone\.conv2: try 187"):
+        dataclasses.replace(spec.arch, layers=ALEXNET.layers).score_size(187)
+    network, pairs = randomized(spec), rendered(spec, 1)
+    ranges = measure(spec, layers(network), pairs)
+    first = without(ranges, set(ranges.inputs) - {"backbone.conv1"})
+    found, wanted = (
+        open_session(search_graph(spec, layers(network), some).SerializeToString(), 1, 187).run(
+            ["scores"],
+            {
+                "crop": pairs[0].search[None],
+                **{
+                    name: np.ones((1, 4, *[spec.arch.side("neck.cls_template", 123)] * 2), np.float32)
+                    for name in ("cls_kernel", "reg_kernel")
+                },
+            },
+        )[0]
+        for some in (first, Ranges())
+    )
+    assert np.abs(found - wanted).max() < 0.1 * np.ptp(wanted)
 
 
 def test_layers_of_any_architecture_can_be_thawed(shallow: ModelSpec) -> None:

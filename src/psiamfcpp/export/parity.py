@@ -49,7 +49,8 @@ class Difference:
                 raise UserError(f"8 bits change the boxes: they overlap by {self.overlap:.3f}; nothing was written")
         elif not (self.scores <= _SCORES and self.boxes <= _BOXES):
             apart = f"scores differ by up to {self.scores:.2g} and boxes by up to {self.boxes:.2g} pixels"
-            raise UserError(f"the graphs are not the network: {apart}; nothing was written")
+            hint = "graphs keep weights in 16 bits, which a network that was not trained may not bear"
+            raise UserError(f"the graphs are not the network: {apart} ({hint}); nothing was written")
 
 
 def look(engine: Engine, pairs: list[Pair]) -> list[Answer]:
@@ -58,9 +59,15 @@ def look(engine: Engine, pairs: list[Pair]) -> list[Answer]:
 
 
 def compare(expected: list[Answer], found: list[Answer]) -> Difference:
-    """How far the answers are from those that were expected, pair by pair."""
+    """Return how far the answers are from those that were expected, pair by pair.
+
+    Raises:
+        UserError: the expected scores of a pair are all alike, so that nothing could be seen to differ.
+    """
     scores, boxes, overlaps = [], [], []
     for (s0, b0), (s, b) in zip(expected, found, strict=True):
+        if s0.max() == s0.min():
+            raise UserError("the network's scores are alike everywhere in a crop: train it before it is exported")
         scores.append(np.abs(s - s0).max())
         counts = s0 >= s0.max() / 2
         boxes.append(np.abs(b - b0)[counts].max())

@@ -10,8 +10,10 @@ import onnx
 from numpy.typing import NDArray
 from onnx import TensorProto, helper
 
+from psiamfcpp.errors import UserError
 from psiamfcpp.export.builder import Builder, Ranges, two_by_two
 from psiamfcpp.export.layers import Layer, divided, filled_up, folded
+from psiamfcpp.models import arch
 from psiamfcpp.models.arch import by_depth, walk
 from psiamfcpp.models.network import SiamFCpp
 from psiamfcpp.spec import STRIDE, ModelSpec
@@ -79,23 +81,26 @@ def _kernel(spec: ModelSpec) -> int:
 def _backbone(graph: Builder, spec: ModelSpec) -> str:
     """Features of the input ``crop``."""
     first, *others = spec.arch.part("backbone")
-    x = graph.pooled(first, _first(graph))
+    x = graph.pooled(first, _first(graph, first))
     return walk(others, {first.name: x}, graph.layer)[others[-1].name]
 
 
-def _first(graph: Builder) -> str:
+def _first(graph: Builder, first: arch.Layer) -> str:
     """The first layer, before its pool."""
-    name = "backbone.conv1"
+    name = first.name
     if name not in graph.ranges.inputs:
         x = graph.add("Transpose", "crop", name="pixels", perm=[0, 3, 1, 2])
-        return graph.conv(name, graph.add("Cast", x, to=TensorProto.FLOAT), relu=True, stride=2)
+        x = graph.add("Cast", x, to=TensorProto.FLOAT)
+        return graph.conv(name, x, relu=first.relu, stride=first.stride)
+    if first.stride != 2 or first.kernel % 2 == 0 or first.padding:
+        raise UserError(f"{name} has no 8-bit form: that of an odd kernel at stride 2 without padding is known")
     # In integers the time goes into gathering what each filter sees, row by row. With two by two pixels as one,
     # of twelve channels and at stride 1, there are half as many rows.
-    layer = graph.layers[name]
-    weight = np.pad(layer.weight, [(0, 0), (0, 0), (0, 1), (0, 1)]).reshape(-1, 3, 6, 2, 6, 2)
-    weight = weight.transpose(0, 3, 5, 1, 2, 4).reshape(-1, 12, 6, 6)
+    layer, side = graph.layers[name], (first.kernel + 1) // 2
+    weight = np.pad(layer.weight, [(0, 0), (0, 0), (0, 1), (0, 1)]).reshape(-1, 3, side, 2, side, 2)
+    weight = weight.transpose(0, 3, 5, 1, 2, 4).reshape(-1, 12, side, side)
     graph.layers = {**graph.layers, name: dataclasses.replace(layer, weight=weight)}
-    return graph.conv(name, two_by_two(graph, _bordered(graph)), relu=True)
+    return graph.conv(name, two_by_two(graph, _bordered(graph)), relu=first.relu)
 
 
 def _bordered(graph: Builder) -> str:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import importlib
+import itertools
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, TypeVar
@@ -279,10 +280,11 @@ class Architecture:
         if name == PIXELS:
             return crop
         layer = self[name]
-        side = OPERATIONS[layer.operation].side(
-            layer, _sides_read(self, layer, crop, template_size or self.template_size)
-        )
+        side = self._before_pool(layer, crop, template_size or self.template_size)
         return side if layer.pool is None else -((layer.pool[0] - side) // layer.pool[1]) + 1
+
+    def _before_pool(self, layer: Layer, crop: int, template_size: int) -> int:
+        return OPERATIONS[layer.operation].side(layer, _sides_read(self, layer, crop, template_size))
 
     def macs(self, widths: Mapping[str, int], search_size: int) -> int:
         """Multiply-accumulates of one search crop: convolutions and correlations."""
@@ -307,6 +309,10 @@ class Architecture:
         hint = "try " + " or ".join(map(str, self.sizes))
         if (search_size - size) % self.stride or (search_size - self.template_size) % 2:
             raise UserError(f"search size {search_size} is not {size} plus a multiple of {self.stride}: {hint}")
+        for layer, crop in itertools.product(self.layers, (size, search_size)):
+            # Rounded, the grid of a pool would lie half a cell off, and graphs and network would differ.
+            if layer.pool and (self._before_pool(layer, crop, size) - layer.pool[0]) % layer.pool[1]:
+                raise UserError(f"crops of {crop} pixels leave a rest in the pool of {layer.name}: {hint}")
         cells = self.side(self.outputs[0].name, search_size, size)
         if cells < 3:
             raise UserError(f"search size {search_size} leaves a score map of {cells} cells: {hint}")
