@@ -19,7 +19,7 @@ from .test_page import place, shown_at
 
 pytestmark = pytest.mark.slow
 visit = test_page.visit
-COUNT = 130
+COUNT = 12
 
 
 @pytest.fixture(scope="module")
@@ -27,7 +27,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory, blob_frame: Callable[..., A
     """Images of a blob that moves by 3 pixels."""
     path = tmp_path_factory.mktemp("frames")
     for number in range(COUNT):
-        cv2.imwrite(str(path / f"{number}.png"), blob_frame(box_at(number), width=480, height=240))
+        cv2.imwrite(str(path / f"{number}.png"), blob_frame(box_at(number), width=480, height=320))
     return path
 
 
