@@ -191,10 +191,9 @@ def test_everything_can_be_done_with_keys(page: Any, follower: Follower, stream:
         return [int(v) for v in page.inner_text("#live").partition("Box ")[2].split(", ")]
 
     def press(wanted: int, now: Callable[[], int], less: str, more: str) -> None:
-        while now() != wanted:
-            far = abs(now() - wanted) > 8
-            key = less if now() > wanted else more
-            page.keyboard.press(key if far else f"Control+{key}")
+        while (value := now()) != wanted:
+            key = less if value > wanted else more
+            page.keyboard.press(key if abs(value - wanted) > 8 else f"Control+{key}")
 
     # sized first, since its left and upper edges stay
     press(60, lambda: box()[2], "Shift+ArrowLeft", "Shift+ArrowRight")
