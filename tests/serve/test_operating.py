@@ -19,7 +19,7 @@ from psiamfcpp.video.source import open_source
 
 from . import test_page
 from .conftest import BLOB, HEIGHT, WIDTH, Stream, served, until
-from .test_page import LIVE, place, shown_at
+from .test_page import LIVE, green, place, shown_at
 
 pytestmark = pytest.mark.slow
 visit = test_page.visit
@@ -191,10 +191,9 @@ def test_everything_can_be_done_with_keys(page: Any, follower: Follower, stream:
         return [int(v) for v in page.inner_text("#live").partition("Box ")[2].split(", ")]
 
     def press(wanted: int, now: Callable[[], int], less: str, more: str) -> None:
-        while now() != wanted:
-            far = abs(now() - wanted) > 8
-            key = less if now() > wanted else more
-            page.keyboard.press(key if far else f"Control+{key}")
+        while (value := now()) != wanted:
+            key = less if value > wanted else more
+            page.keyboard.press(key if abs(value - wanted) > 8 else f"Control+{key}")
 
     # sized first, since its left and upper edges stay
     press(60, lambda: box()[2], "Shift+ArrowLeft", "Shift+ArrowRight")
@@ -393,6 +392,10 @@ def test_a_file_is_paused_and_wound(visit: Callable[..., Any], played: str) -> N
             page.keyboard.press(key)
             until(lambda frame=frame: http.get("/api/state").json()["source"]["frame"] == frame)
             until(lambda frame=frame: page.input_value("#slider") == str(frame))
+    # a box that is drawn meanwhile is shown, though no frame comes
+    drag(page, (23, 80, 40, 30))
+    page.wait_for_selector("#targets .state.tracking")
+    until(lambda: green(page, 43, 80))
     page.keyboard.press("p")
     page.wait_for_selector("#pause:has-text('Pause')")
 

@@ -10,7 +10,7 @@ from collections.abc import Callable
 from psiamfcpp.geometry import Image
 
 MOST_BYTES = 128 * 1024 * 1024
-"""46 frames of 1280x720, or 20 of 1920x1080"""
+"""48 frames of 1280x720, or 21 of 1920x1080"""
 # A page that was closed in the middle of drawing must not keep its frame for ever.
 HOLD_S = 120.0
 _FEWEST = 4

@@ -102,7 +102,15 @@ function hear(message) {
   state = message;
   for (const event of message.events) addEvent(event);
   if (message.jpeg) waiting = message;
+  repaint();
   panel();
+}
+
+/** Show what is told anew of the frame on the canvas, as when a box is drawn while a file is paused. */
+function repaint() {
+  if (still || !shown || state.frame !== shown.frame) return;
+  shown = state;
+  view.draw();
 }
 
 async function show(blob, told) {
@@ -132,7 +140,9 @@ function start(what, more) {
 function release() {
   still = false;
   if (socket) send({ type: "hold" });
-  if (state) panel();
+  if (!state) return;
+  repaint();
+  panel();
 }
 
 function paint(pen, target, unit) {
