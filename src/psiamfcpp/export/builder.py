@@ -33,6 +33,8 @@ class Ranges:
     """``(C,)``: the same of what the correlation makes of these channels"""
     factors: Mapping[str, NDArray[np.float32]] = field(default_factory=dict)
     """what the output channels of layers are divided by, before the ranges above were taken"""
+    rows: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    """lowest and highest value of each row's map, in graphs that follow the table row by row"""
 
 
 @dataclass
@@ -85,10 +87,7 @@ class Builder:
     def _quantized(self, name: str, x: str, layer: Layer) -> tuple[str, str, str]:
         """Input, weight and bias of a layer as what is left after eight bits."""
         if x not in self.steps:
-            low, high = (f(bound, 0.0) for f, bound in zip((min, max), self.ranges.inputs[name], strict=True))
-            step = np.float32(max((high - low) / 255, 1e-8))
-            zero = round(-low / float(step))
-            x = self.from_uint8(self.to_uint8(x, step, zero), step, zero)
+            x = self.rounded(x, self.ranges.inputs[name])
         folded = layer.weight * layer.gain[:, None, None, None]
         steps = np.maximum(np.abs(folded).max(axis=(1, 2, 3)) / 127, 1e-12)
         # The bias is in 32 bits of the weights' step times the input's: a dead filter's tiny step would cut it off.
@@ -106,6 +105,13 @@ class Builder:
         stored = self.constant(values, name), self.constant(steps, f"{name}_scale")
         zeros = self.constant(np.zeros(len(steps), values.dtype), f"{name}_zero")
         return self.add("DequantizeLinear", *stored, zeros, axis=0)
+
+    def rounded(self, x: str, bounds: tuple[float, float]) -> str:
+        """What is left of a tensor after eight bits that hold zero and the bounds."""
+        low, high = min(bounds[0], 0.0), max(bounds[1], 0.0)
+        step = np.float32(max((high - low) / 255, 1e-8))
+        zero = round(-low / float(step))
+        return self.from_uint8(self.to_uint8(x, step, zero), step, zero)
 
     def to_uint8(self, x: str, step: np.float32, zero: int) -> str:
         """A tensor in eight bits; pixels are that already."""
@@ -145,3 +151,14 @@ class Builder:
         )
         helper.set_model_props(model, {"format": GRAPH_FORMAT, "spec": spec.to_json()})
         return model
+
+
+def two_by_two(graph: Builder, x: str) -> str:
+    """Pixels ``(1, S, S, 3)`` of even S as ``(1, 12, S / 2, S / 2)``, two by two as one."""
+    two, six = (graph.constant(np.array([v])) for v in (2, 6))
+    one, rest = (graph.constant(np.array([v])) for v in (1, -1))
+    half = graph.add("Div", graph.add("Shape", x, start=1, end=2), two)
+    x = graph.add("Reshape", x, graph.add("Concat", one, half, two, rest, axis=0))
+    shape = graph.add("Concat", one, half, half, six, axis=0)
+    rows = [graph.add("Reshape", row, shape) for row in graph.add("Split", x, outputs=2, axis=2)]
+    return str(graph.add("Transpose", graph.add("Concat", *rows, axis=3), name="pixels", perm=[0, 3, 1, 2]))

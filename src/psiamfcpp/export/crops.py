@@ -7,12 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from psiamfcpp.crop import mean_colour, target_crop
 from psiamfcpp.datasets import Sequence
 from psiamfcpp.demo.clip import render
 from psiamfcpp.errors import UserError
 from psiamfcpp.geometry import Image, to_centre
+from psiamfcpp.models.arch import opened
 from psiamfcpp.spec import ModelSpec
+from psiamfcpp.trackers.siamfcpp.procedure import Procedure, Target
 
 # How far, in target sides, and by what factor the place that the tracker looks about is off.
 _SHIFT, _SCALE = 0.4, 1.2
@@ -26,7 +27,7 @@ class Pair:
     """What a tracker sees of one target."""
 
     template: Image
-    """``(127, 127, 3)`` uint8, BGR"""
+    """``(Z, Z, 3)`` uint8, BGR"""
     search: Image
     """``(S, S, 3)`` uint8, BGR"""
 
@@ -75,10 +76,11 @@ def _pair(sequence: Sequence, spec: ModelSpec, rng: np.random.Generator) -> Pair
 def _crops(
     first: Image, box: ArrayLike, later: Image, later_box: ArrayLike, spec: ModelSpec, rng: np.random.Generator
 ) -> Pair:
-    fill, size = mean_colour(first), spec.template_size
-    template = target_crop(first, to_centre(box), size, size, fill)
+    procedure: Procedure = opened(spec.arch.procedure)
+    fill, size = procedure.fill(first), spec.template_size
+    template = procedure.crop(first, Target(*to_centre(box)), size, size, fill, None)
     cx, cy, w, h = to_centre(later_box)
     dx, dy = rng.uniform(-_SHIFT, _SHIFT, 2)
     grow_w, grow_h = _SCALE ** rng.uniform(-1, 1, 2)
-    around = (cx + dx * w, cy + dy * h, w * grow_w, h * grow_h)
-    return Pair(template, target_crop(later, around, spec.search_size, size, fill))
+    around = Target(cx + dx * w, cy + dy * h, w * grow_w, h * grow_h)
+    return Pair(template, procedure.crop(later, around, spec.search_size, size, fill, None))

@@ -2,7 +2,8 @@
 
 An exporter is a module with ``layers(model)``, which gives what `psiamfcpp.export.layers.layers` describes, and with
 ``template_graph`` and ``search_graph`` as below. The inputs of the search graph are ``crop`` and all outputs of the
-template graph, by name; its outputs are ``scores`` and ``boxes``.
+template graph, by name; its outputs are ``scores`` and ``boxes``. One whose graphs follow the table row by row, as
+`psiamfcpp.export.rows` appends them, names in ``FLOAT`` the parts that 8 bits leave alone.
 """
 
 from __future__ import annotations

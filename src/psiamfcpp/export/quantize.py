@@ -6,15 +6,17 @@ import dataclasses
 from collections.abc import Collection, Iterator, Mapping
 
 import numpy as np
-from onnx import TensorProto, helper
+from onnx import ModelProto, TensorProto, helper
 from onnxruntime import InferenceSession
 
-from psiamfcpp.errors import UserError
+from psiamfcpp.export import equalize
 from psiamfcpp.export.crops import Pair
 from psiamfcpp.export.graph import Ranges, search_graph, template_graph
 from psiamfcpp.export.layers import Float32Array, Layer
 from psiamfcpp.export.parity import Answer, Difference, compare
-from psiamfcpp.models.arch import PIXELS
+from psiamfcpp.export.rows import may_be_integer
+from psiamfcpp.export.rows import tensor as tensor_of
+from psiamfcpp.models.arch import PIXELS, opened
 from psiamfcpp.runtime.onnx_engine import open_session
 from psiamfcpp.spec import ModelSpec
 
@@ -31,25 +33,14 @@ def measure(spec: ModelSpec, layers: Mapping[str, Layer], pairs: list[Pair]) -> 
         spec: the model's.
         layers: the model's.
         pairs: crops to look at.
-
-    Raises:
-        UserError: the architecture has no 8-bit graphs.
     """
+    if all(row.operation != "correlation" for row in spec.arch.layers):
+        return _measure_rows(spec, layers, pairs)
     correlated, correlation = _correlation(spec)
     graph = search_graph(spec, layers, Ranges())
     inputs = {n.name: n.input[0] for n in graph.graph.node if n.op_type == "Conv" and n.name in layers}
     tensors = sorted({*inputs.values(), correlated, correlation})
-    graph.graph.output.extend(helper.make_tensor_value_info(t, TensorProto.FLOAT, None) for t in tensors)
-    search = open_session(graph.SerializeToString(), None, spec.search_size)
-    template = open_session(template_graph(spec, layers, Ranges()).SerializeToString(), None)
-
-    low: dict[str, Float32Array] = {}
-    high: dict[str, Float32Array] = {}
-    for pair in pairs:
-        feed = {"crop": pair.search[None], **_kernels(template, pair)}
-        for tensor, values in zip(tensors, search.run(tensors, feed), strict=True):
-            low[tensor] = np.minimum(low.get(tensor, np.inf), values.min(axis=(0, 2, 3)))
-            high[tensor] = np.maximum(high.get(tensor, -np.inf), values.max(axis=(0, 2, 3)))
+    low, high = _extremes(spec, layers, graph, tensors, pairs)
     peaks = {tensor: np.maximum(np.abs(low[tensor]), np.abs(high[tensor])) for tensor in tensors}
     searched = {name: next(reader for reader in after if reader in inputs) for name, after in spec.arch.readers.items()}
     factors = {
@@ -65,6 +56,49 @@ def measure(spec: ModelSpec, layers: Mapping[str, Layer], pairs: list[Pair]) -> 
     return Ranges(ranges, peaks[correlated], peaks[correlation], factors)
 
 
+def _measure_rows(spec: ModelSpec, layers: Mapping[str, Layer], pairs: list[Pair]) -> Ranges:
+    """The same for graphs that follow the table row by row.
+
+    In float stay the parts that the exporter names in ``FLOAT``, layers whose map is one cell, since there is nothing
+    to gain, the last layers, whose map no integer layer reads, and those before GELU and sigmoid.
+    """
+    tensors = {row.name: tensor_of(row) for row in spec.arch.layers}
+    graph = search_graph(spec, layers, Ranges())
+    low, high = _extremes(spec, layers, graph, sorted(tensors.values()), pairs)
+    peaks = {name: np.maximum(np.abs(low[tensor]), np.abs(high[tensor])) for name, tensor in tensors.items()}
+    factors = equalize.factors(spec.arch, peaks)
+    bounds = {}
+    for name, tensor in tensors.items():
+        factor = factors.get(name, np.float32(1))
+        bounds[name] = float((low[tensor] / factor).min()), float((high[tensor] / factor).max())
+    kept_float = opened(spec.arch.exporter).FLOAT
+    integer = [
+        row
+        for row in spec.arch.layers
+        if may_be_integer(row) and row.part not in kept_float and row not in spec.arch.outputs
+        if spec.arch.side(row.name, spec.search_size, spec.template_size) > 1
+    ]
+    inputs = {row.name: (0.0, 255.0) if row.reads == (PIXELS,) else bounds[row.reads[0]] for row in integer}
+    return Ranges(inputs, factors=factors, rows=bounds)
+
+
+def _extremes(
+    spec: ModelSpec, layers: Mapping[str, Layer], graph: ModelProto, tensors: list[str], pairs: list[Pair]
+) -> tuple[dict[str, Float32Array], dict[str, Float32Array]]:
+    """Lowest and highest value ``(C,)`` of each channel of tensors of a search graph, over all pairs."""
+    graph.graph.output.extend(helper.make_tensor_value_info(t, TensorProto.FLOAT, None) for t in tensors)
+    search = open_session(graph.SerializeToString(), None, spec.search_size)
+    template = open_session(template_graph(spec, layers, Ranges()).SerializeToString(), None)
+    low: dict[str, Float32Array] = {}
+    high: dict[str, Float32Array] = {}
+    for pair in pairs:
+        feed = {"crop": pair.search[None], **_kernels(template, pair)}
+        for tensor, values in zip(tensors, search.run(tensors, feed), strict=True):
+            low[tensor] = np.minimum(low.get(tensor, np.inf), values.min(axis=(0, 2, 3)))
+            high[tensor] = np.maximum(high.get(tensor, -np.inf), values.max(axis=(0, 2, 3)))
+    return low, high
+
+
 def _kernels(template: InferenceSession, pair: Pair) -> dict[str, Float32Array]:
     """What the template graph gives for a pair, by name, as the search graph takes it."""
     names = [output.name for output in template.get_outputs()]
@@ -73,9 +107,7 @@ def _kernels(template: InferenceSession, pair: Pair) -> dict[str, Float32Array]:
 
 def _correlation(spec: ModelSpec) -> tuple[str, str]:
     """Names, in the graphs, of the features that are correlated and of the correlation."""
-    row = next((layer for layer in spec.arch.layers if layer.operation == "correlation"), None)
-    if row is None:
-        raise UserError(f"architecture {spec.architecture} has no 8-bit graphs yet: leave out --int8")
+    row = next(layer for layer in spec.arch.layers if layer.operation == "correlation")
     return spec.arch.exported(row.reads[0]), spec.arch.exported(row.name)
 
 

@@ -10,7 +10,7 @@ import onnx
 from numpy.typing import NDArray
 from onnx import TensorProto, helper
 
-from psiamfcpp.export.builder import Builder, Ranges
+from psiamfcpp.export.builder import Builder, Ranges, two_by_two
 from psiamfcpp.export.layers import Layer, divided, filled_up, folded
 from psiamfcpp.models.arch import by_depth, walk
 from psiamfcpp.models.network import SiamFCpp
@@ -95,20 +95,13 @@ def _first(graph: Builder) -> str:
     weight = np.pad(layer.weight, [(0, 0), (0, 0), (0, 1), (0, 1)]).reshape(-1, 3, 6, 2, 6, 2)
     weight = weight.transpose(0, 3, 5, 1, 2, 4).reshape(-1, 12, 6, 6)
     graph.layers = {**graph.layers, name: dataclasses.replace(layer, weight=weight)}
-    return graph.conv(name, _two_by_two(graph), relu=True)
+    return graph.conv(name, two_by_two(graph, _bordered(graph)), relu=True)
 
 
-def _two_by_two(graph: Builder) -> str:
-    """The crop as ``(1, 12, (S + 1) / 2, (S + 1) / 2)``; S is odd, so a row and a column are added."""
-    one, two, six = (graph.constant(np.array([v])) for v in (1, 2, 6))
-    half = graph.add("Div", graph.add("Add", graph.add("Shape", "crop", start=1, end=2), one), two)
+def _bordered(graph: Builder) -> str:
+    """The crop with a row and a column added at its end, which makes its side even."""
     edge = graph.constant(np.array([0, 0, 0, 0, 0, 1, 1, 0]))
-    x = graph.add("Pad", "crop", edge, graph.constant(np.uint8(0)))
-    x = graph.add("Reshape", x, graph.add("Concat", one, half, two, graph.constant(np.array([-1])), axis=0))
-    shape = graph.add("Concat", one, half, half, six, axis=0)
-    rows = [graph.add("Reshape", row, shape) for row in graph.add("Split", x, outputs=2, axis=2)]
-    x = graph.add("Concat", *rows, axis=3)
-    return str(graph.add("Transpose", x, name="pixels", perm=[0, 3, 1, 2]))
+    return str(graph.add("Pad", "crop", edge, graph.constant(np.uint8(0))))
 
 
 def _correlation(graph: Builder, spec: ModelSpec) -> tuple[str, str]:
