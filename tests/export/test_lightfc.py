@@ -189,6 +189,20 @@ def test_crops_are_those_of_the_procedure(network: LightFC, pairs: list[Pair], t
 
 
 @pytest.mark.slow
+def test_widths_as_pruning_leaves_them_are_filled_up(tmp_path: Path) -> None:
+    widths = {group: 17 + number for number, group in enumerate(TABLE.groups)}
+    pruned = random_lightfc(widths=widths)
+    filled = layers(pruned)
+    for row in TABLE.layers:
+        if row.name in filled and row.group:
+            own, width = filled[row.name], widths[row.group]
+            assert len(own.bias) % 16 == 0 and not own.weight[width:].any() and not own.bias[width:].any()
+    assert filled["backbone.depthwise1"].weight.shape[0] == filled["backbone.expand1"].weight.shape[0]
+    # It fails unless the graphs are the network.
+    write_graphs(pruned, tmp_path / "graphs", "onnx", Ranges(), rendered(pruned.spec, 1))
+
+
+@pytest.mark.slow
 def test_calibrated_graphs_in_eight_bits_follow_two_targets_with_states(
     network: LightFC, ranges: Ranges, tmp_path: Path
 ) -> None:
