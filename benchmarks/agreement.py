@@ -53,11 +53,8 @@ def main(
     (expected, own), *others = (tuple(zip(*column, strict=True)) for column in zip(*rows, strict=True))
     for model, (found, times) in zip(models[1:], others, strict=True):
         same = np.mean([a.cell == b.cell for a, b in zip(expected, found, strict=True)])
-        overlaps = overlap(_boxes(expected), _boxes(found))
-        share = np.median(np.divide(times, own))
-        print(
-            f"{model}: same cell {same:.3f}, overlap {overlaps.mean():.3f}, least {overlaps.min():.3f}, time {share:.2f}"
-        )
+        each, share = overlap(_boxes(expected), _boxes(found)), np.median(np.divide(times, own))
+        print(f"{model}: same cell {same:.3f}, overlap {each.mean():.3f}, least {each.min():.3f}, time {share:.2f}")
 
 
 def _found(engine: Engine, procedure: Procedure, window: np.ndarray, pair: Pair) -> tuple[Estimate, float]:
