@@ -17,10 +17,12 @@ pytest.importorskip("torch")
 import onnx
 
 from models.deployed import TABLE, random_lightfc
+from psiamfcpp import TargetPool, Tracker
 from psiamfcpp.datasets import Sequence
+from psiamfcpp.demo.clip import render
 from psiamfcpp.export.crops import Pair, rendered, sample
 from psiamfcpp.export.equalize import factors
-from psiamfcpp.export.files import write_graphs
+from psiamfcpp.export.files import graphs_of, write_files, write_graphs
 from psiamfcpp.export.graph import Ranges, search_graph, template_graph
 from psiamfcpp.export.layers import layers
 from psiamfcpp.export.quantize import losses, measure, without
@@ -29,6 +31,8 @@ from psiamfcpp.models.lightfc import MEAN, LightFC
 from psiamfcpp.runtime import open_engine
 from psiamfcpp.runtime.onnx_engine import open_session
 from psiamfcpp.runtime.torch_engine import TorchEngine
+from psiamfcpp.spec import Calibration
+from psiamfcpp.trackers.contract import STATES
 
 
 @pytest.fixture(scope="module")
@@ -182,3 +186,36 @@ def test_crops_are_those_of_the_procedure(network: LightFC, pairs: list[Pair], t
     sequence = Sequence("corner", [frame] * 2, np.array([[0, 0, 20, 20]] * 2, float))
     (pair,) = sample([sequence], network.spec, 1)
     assert {*np.unique(pair.template)} >= {0, 90} and not pair.template[:30].any()
+
+
+@pytest.mark.slow
+def test_widths_as_pruning_leaves_them_are_filled_up(tmp_path: Path) -> None:
+    widths = {group: 17 + number for number, group in enumerate(TABLE.groups)}
+    pruned = random_lightfc(widths=widths)
+    filled = layers(pruned)
+    for row in TABLE.layers:
+        if row.name in filled and row.group:
+            own, width = filled[row.name], widths[row.group]
+            assert len(own.bias) % 16 == 0 and not own.weight[width:].any() and not own.bias[width:].any()
+    assert filled["backbone.depthwise1"].weight.shape[0] == filled["backbone.expand1"].weight.shape[0]
+    # It fails unless the graphs are the network.
+    write_graphs(pruned, tmp_path / "graphs", "onnx", Ranges(), rendered(pruned.spec, 1))
+
+
+@pytest.mark.slow
+def test_calibrated_graphs_in_eight_bits_follow_two_targets_with_states(
+    network: LightFC, ranges: Ranges, tmp_path: Path
+) -> None:
+    spec = dataclasses.replace(network.spec, calibration=Calibration())
+    write_files(graphs_of(spec, layers(network), ranges), tmp_path, "onnx")
+    pool, alone = (opened(str(tmp_path), threads=1) for opened in (TargetPool, Tracker))
+    frames = [shot.image for shot in render(0, 4, (640, 360))]
+    boxes = (300, 150, 40, 30), (100, 80, 60, 60)
+    for box in boxes:
+        pool.add(frames[0], box)
+    alone.init(frames[0], boxes[0])
+    for frame in frames[1:]:
+        tracks = pool.update(frame)
+        assert tracks[1] == alone.update(frame)
+        assert {track.state for track in tracks.values()} <= set(STATES)
+        assert all(track.score is not None and 0 <= track.score <= 1 for track in tracks.values())

@@ -19,9 +19,11 @@ TABLE = architecture("lightfc")
 _ONE_PIXEL, _ITSELF = 0.25, 1.0
 
 
-def random_lightfc(seed: int = 0) -> LightFC:
-    """An unpruned LightFC with random weights whose signal keeps its strength."""
-    network = LightFC(ModelSpec(dict(TABLE.groups), 128, 256, calibration=None, architecture="lightfc")).eval()
+def random_lightfc(seed: int = 0, widths: dict[str, int] | None = None) -> LightFC:
+    """A LightFC, unpruned or of the given widths, with random weights whose signal keeps its strength."""
+    network = LightFC(
+        ModelSpec(widths or dict(TABLE.groups), 128, 256, calibration=None, architecture="lightfc")
+    ).eval()
     generator = torch.Generator().manual_seed(seed)
     with torch.no_grad():
         for name, value in network.state_dict().items():

@@ -14,6 +14,7 @@ from numpy.testing import assert_array_equal
 from psiamfcpp import Tracker, UserError, datasets
 from psiamfcpp.recipes.calibration import LOST_BELOW, UNSURE_BELOW, Looks, confidences, cross_rates, fit, gather
 from psiamfcpp.spec import Calibration
+from trackers.test_lightfc import BlobLightFC
 
 
 def looks(apart: float, count: int = 1500, clips: int = 6, seed: int = 0) -> Looks:
@@ -148,6 +149,15 @@ def test_gather_sees_targets_where_they_are_and_nothing_where_they_are_not(
     # the first two do take it out of sight; in the other clip the place may happen to be that of its own target
     assert rows.peak[1::4] == pytest.approx(0.02)
     assert rows.peak[2::4] == pytest.approx(0.02)
+
+
+def test_gather_looks_as_the_procedure_of_the_architecture_does(clips: list[datasets.Sequence]) -> None:
+    # The engine checks the sizes of the crops, and finds the blob only where the crop shows it.
+    rows = gather(Tracker(engine=BlobLightFC()), clips)
+    assert rows.found.sum() == 8 and rows.absent.sum() == 24
+    assert rows.peak[rows.found] == pytest.approx(0.9, abs=1e-3)
+    # 0.01 is the engine's background; of the other clip's frames some show a blob
+    assert np.median(rows.peak[rows.absent]) == pytest.approx(0.01)
 
 
 def test_gather_is_reproducible(blob_engine: Any, clips: list[datasets.Sequence]) -> None:

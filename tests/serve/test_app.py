@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import math
 import time
@@ -12,6 +13,7 @@ import httpx
 import numpy as np
 import pytest
 
+from psiamfcpp import TargetPool
 from psiamfcpp.geometry import centre_error
 from psiamfcpp.serve.control import Control
 from psiamfcpp.serve.follower import Follower
@@ -37,6 +39,19 @@ def test_a_target_is_started_followed_and_stopped_by_rest(http: httpx.Client, st
     texts = [event["text"] for event in http.get("/api/events").json()]
     assert texts == ["target 1 is followed", "target 1 was stopped"]
     assert [event["number"] for event in http.get("/api/events", params={"after": 1}).json()] == [2]
+
+
+def test_a_model_that_states_nothing_is_served(stream: Stream, blob_engine: Any) -> None:
+    blob_engine.spec = dataclasses.replace(blob_engine.spec, calibration=None)
+    with Follower(stream.open, TargetPool()) as follower:
+        until(lambda: follower.newest)
+        with served(Control(follower)) as where, httpx.Client(base_url=f"http://{where}", timeout=30) as http:
+            assert http.post("/api/targets", json={"box": BLOB}).status_code == 201
+            (target,) = until(lambda: http.get("/api/state").json()["targets"])
+            assert target["state"] is None and 0 < target["score"] <= 1
+            with live(where) as socket:
+                (target,) = until(lambda: state(socket)["targets"])
+                assert target["state"] is None
 
 
 def test_a_point_becomes_a_box(http: httpx.Client) -> None:

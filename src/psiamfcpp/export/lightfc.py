@@ -12,7 +12,7 @@ from onnx import TensorProto, helper
 from psiamfcpp.export.builder import Builder, Ranges, two_by_two
 from psiamfcpp.export.equalize import divided
 from psiamfcpp.export.layers import Layer, folded
-from psiamfcpp.export.rows import append, within
+from psiamfcpp.export.rows import append, filled_up, within
 from psiamfcpp.models import arch
 from psiamfcpp.models.arch import PIXELS
 from psiamfcpp.models.lightfc import MARGIN, MEAN, LightFC
@@ -30,7 +30,7 @@ _GREY = round(sum(MEAN) / 3)
 
 def layers(model: LightFC) -> dict[str, Layer]:
     """See `psiamfcpp.export.layers.layers`."""
-    return folded(model)
+    return filled_up(folded(model), model.spec.arch)
 
 
 def template_graph(spec: ModelSpec, layers: Mapping[str, Layer], ranges: Ranges) -> onnx.ModelProto:

@@ -7,12 +7,15 @@ from collections.abc import Callable, Iterable, Mapping
 import numpy as np
 
 from psiamfcpp.export.builder import Builder
+from psiamfcpp.export.layers import Layer
 from psiamfcpp.models import arch
 from psiamfcpp.models.arch import OPERATIONS, walk
 
 _OPERATORS = {"sum": "Add", "gate": "Mul", "mean": "GlobalAveragePool"}
 # Which of them compute on integers, where what they give is read as such.
 _INTEGER = ("sum", "gate", "join")
+# Filters that are computed at a time.
+_FILTERS = 16
 
 
 def append(
@@ -48,6 +51,30 @@ def _rounded(graph: Builder, rows: list[arch.Layer]) -> set[str]:
         elif row.name in found and row.operation in _INTEGER:
             found.update(row.reads)
     return found
+
+
+def filled_up(ragged: Mapping[str, Layer], table: arch.Architecture) -> dict[str, Layer]:
+    """Return the same function, the widths that pruning leaves filled up with filters of zeros to a multiple of 16.
+
+    Filters are computed so many at a time: LightFC cut to widths of 16 n - 1 takes 1.7 times as long in 8 bits and 1.5
+    times in float as filled up.
+    """
+    even, extra = dict(ragged), {arch.PIXELS: 0}
+    for row in table.layers:
+        read = extra[row.reads[0]]
+        if row.operation != "convolution":
+            extra[row.name] = read if row.operation in ("depthwise", *_OPERATORS) else 0
+        else:
+            extra[row.name] = -len(ragged[row.name].bias) % _FILTERS if row.group else 0
+        if OPERATIONS[row.operation].weighted:
+            own, more = ragged[row.name], extra[row.name]
+            inputs = read if row.operation == "convolution" else 0
+            even[row.name] = Layer(
+                np.pad(own.weight, [(0, more), (0, inputs), (0, 0), (0, 0)]),
+                np.pad(own.gain, (0, more), constant_values=1),
+                np.pad(own.bias, (0, more)),
+            )
+    return even
 
 
 def may_be_integer(row: arch.Layer) -> bool:
