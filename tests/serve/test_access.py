@@ -13,7 +13,7 @@ from websockets.exceptions import InvalidStatus
 from psiamfcpp.errors import UserError
 from psiamfcpp.serve.control import Control, Lease
 from psiamfcpp.serve.follower import Follower
-from psiamfcpp.serve.guard import check_address
+from psiamfcpp.serve.guard import COOKIE, _cookie, check_address
 from psiamfcpp.serve.limits import Buckets
 
 from .conftest import BLOB, TOKEN, Clock, ask, browse, live, served, state, until
@@ -136,11 +136,35 @@ def test_every_token_that_is_taken_can_be_sent(control: Control) -> None:
         assert http.get("/api/state", headers={"Authorization": f"Bearer {token}"}).status_code == 200
         assert http.post("/api/login", json={"token": token}).status_code == 200
         assert http.get("/api/state").status_code == 200
+        # also beside the cookies of other servers on this machine
+        cookie = f'a="b\\"; other=1; {COOKIE}={http.cookies[COOKIE]}; z'
+        http.cookies.clear()
+        assert http.get("/api/state", headers={"Cookie": cookie}).status_code == 200
         # what it cannot be is wrong, and no fault
         for wrong in ("\U0001f680" * 12, "\ud800" * 12, "x" * 1000):
             body = json.dumps({"token": wrong})
             answer = http.post("/api/login", content=body, headers={"Content-Type": "application/json"})
             assert answer.status_code in (401, 422)
+
+
+@pytest.mark.parametrize(
+    ("header", "value"),
+    [
+        ("", ""),
+        (f"{COOKIE}=plain", "plain"),
+        (f"a=b;{COOKIE}=x=y ; c", "x=y"),
+        (f'{COOKIE}="a\\"b\\\\c\\054d\\073e"', 'a"b\\c,d;e'.replace(";", ";")),
+        (f'{COOKIE}="', '"'),
+        (f'{COOKIE}="\\"', "\\"),
+        (f"{COOKIE}x=1; x{COOKIE}=2", ""),
+        (f"{COOKIE}", ""),
+        ("\\" * 60_000, ""),
+        # a minute's work for http.cookies
+        (f'{COOKIE}="' + "\\" * 60_000 + '"', "\\" * 30_000),
+    ],
+)
+def test_cookies_are_read_as_they_are_written(header: str, value: str) -> None:
+    assert _cookie(header) == value
 
 
 def test_tokens_cannot_be_guessed_at_any_rate(control: Control, monkeypatch: pytest.MonkeyPatch) -> None:

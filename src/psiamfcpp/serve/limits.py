@@ -19,13 +19,13 @@ class Bucket:
         self._lock = threading.Lock()
         self._left, self._at = at_once, clock()
 
-    def take(self) -> bool:
-        """Take one; whether it was allowed."""
+    def take(self, count: float = 1.0) -> bool:
+        """Take one, or so many; whether it was allowed."""
         with self._lock:
             self._refill()
-            if self._left < 1:
+            if self._left < count:
                 return False
-            self._left -= 1
+            self._left -= count
             return True
 
     def empty(self) -> bool:

@@ -12,16 +12,62 @@ from typing import Any
 
 from fastapi import WebSocket
 from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
+from websockets.protocol import State
+
+from psiamfcpp.serve.limits import Bucket
 
 _EXTENSION = "psiamfcpp.caught_up"
 # On a link of 100 ms there and back these are forty messages a second.
 _MOST_UNREAD = 4
 
 
+# Bytes per second of a client, and at once: many times what the busiest page sends. All of what comes at once is parsed
+# before anybody else is served, so it is looked at in slices.
+_BYTES_PER_S, _BYTES_AT_ONCE = 16 * 1024.0, 32 * 1024.0
+_SLICE = 4096
+# Parts of a message; a part may be empty, so that the size of the message does not limit their number.
+_MOST_PARTS = 64
+
+
 class PacedProtocol(WebSocketsSansIOProtocol):
-    """uvicorn's protocol, with a ping behind each message; `caught_up` waits for the answers."""
+    """uvicorn's protocol, with a ping behind each message; `caught_up` waits for the answers.
+
+    A client that sends much more than any page does is sent away.
+    """
 
     _sent = _read = 0
+
+    def __init__(self, *args: Any, **kwargs: Any):
+        super().__init__(*args, **kwargs)
+        self._bytes = Bucket(_BYTES_PER_S, _BYTES_AT_ONCE)
+
+    def data_received(self, data: bytes) -> None:
+        """Parse what comes, slice by slice, until it is too much."""
+        if not self.handshake_initiated:  # the head of the request, whose size is limited already
+            super().data_received(data)
+            return
+        for start in range(0, len(data), _SLICE):
+            part = data[start : start + _SLICE]
+            if self.transport.is_closing():
+                return
+            if self._bytes.take(len(part)):
+                super().data_received(part)
+            else:
+                self._send_away("too many bytes")
+
+    def handle_cont(self, event: Any) -> None:
+        """A further part of a message."""
+        if len(self.frames) >= _MOST_PARTS:
+            self._send_away("a message in too many parts")
+        else:
+            super().handle_cont(event)
+
+    def _send_away(self, reason: str) -> None:
+        if self.conn.state is State.OPEN:
+            self.conn.send_close(1008, reason)
+            self.transport.write(b"".join(self.conn.data_to_send()))
+        self.close_sent = True
+        self.transport.close()
 
     async def run_asgi(self) -> None:
         """Serve the connection, to which the application can ask `caught_up`."""

@@ -13,6 +13,7 @@ from typing import Any
 import uvicorn
 
 from psiamfcpp.errors import UserError
+from psiamfcpp.serve.bounds import BoundedProtocol
 from psiamfcpp.serve.follower import Follower
 from psiamfcpp.serve.gate import Listener
 from psiamfcpp.serve.guard import Guard
@@ -63,7 +64,7 @@ def make_server(app: Guard, ready: Callable[[], None] = lambda: None) -> uvicorn
         app,
         # others accept connections, and parse requests, in ways of their own
         loop="asyncio",
-        http="h11",
+        http=BoundedProtocol,
         # those that come at once are taken in small lots, between which the others are served
         backlog=_ACCEPTED_AT_ONCE,
         log_level="error",
