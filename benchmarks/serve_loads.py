@@ -13,6 +13,7 @@ import ipaddress
 import itertools
 import json
 import socket
+import struct
 import subprocess
 import sys
 import threading
@@ -73,9 +74,93 @@ def heartbeats(_: str, __: int, mavlink_port: int, seconds: float) -> None:
             time.sleep(0.01)
 
 
+def small_chunks(host: str, port: int, _: int, seconds: float) -> None:
+    """20 bodies without end, in chunks of a byte."""
+    head = b"POST /api/login HTTP/1.1\r\nHost: x\r\nTransfer-Encoding: chunked\r\n\r\n"
+    _pour(host, port, seconds, head, b"1\r\n \r\n" * 2000)
+
+
+def unread_answers(host: str, port: int, _: int, seconds: float) -> None:
+    """20 connections that make requests, and read no answer."""
+    _pour(host, port, seconds, b"", b"GET /page.js HTTP/1.1\r\nHost: x\r\n\r\n" * 500)
+
+
+def cookies(host: str, port: int, _: int, seconds: float) -> None:
+    """Requests with a cookie of 60,000 backslashes."""
+    cookie = b'Cookie: psiamfcpp_token="' + b"\\" * 60_000 + b'"\r\n'
+    _ask(host, port, seconds, b"GET /api/state HTTP/1.1\r\nHost: x\r\n" + cookie + b"\r\n", reset=False)
+
+
+def resets(host: str, port: int, _: int, seconds: float) -> None:
+    """Requests whose connections are reset at once."""
+    _ask(host, port, seconds, b"GET /page.js HTTP/1.1\r\nHost: x\r\n\r\n", reset=True)
+
+
+def many_stations(_: str, __: int, mavlink_port: int, seconds: float) -> None:
+    """1,000 commands per second, each from one of 200 ports."""
+    coder = mav.MAVLink(None, 201, 190)
+    params = (mav.MAVLINK_MSG_ID_CAMERA_SETTINGS, 0, 0, 0, 0, 0, 0)
+    packet = bytes(mav.MAVLink_command_long_message(1, 100, mav.MAV_CMD_REQUEST_MESSAGE, 0, *params).pack(coder))
+    end = time.monotonic() + seconds
+    with contextlib.ExitStack() as stack:
+        stations = [stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) for _ in range(200)]
+        while time.monotonic() < end:
+            for station in stations:
+                station.sendto(packet, ("127.0.0.1", mavlink_port))
+                time.sleep(0.001)
+
+
 LOADS: dict[str, Callable[[str, int, int, float], None]] = {
-    load.__name__: load for load in (silent_burst, silent_rate, slow_bodies, slow_headers, guesses, heartbeats)
+    load.__name__: load
+    for load in (
+        silent_burst,
+        silent_rate,
+        slow_bodies,
+        slow_headers,
+        guesses,
+        small_chunks,
+        unread_answers,
+        cookies,
+        resets,
+        heartbeats,
+        many_stations,
+    )
 }
+
+
+def _pour(host: str, port: int, seconds: float, head: bytes, again: bytes) -> None:
+    """Send on 20 connections as much as they take, and make new ones of those that are closed."""
+    end = time.monotonic() + seconds
+    held: list[socket.socket] = []
+    while time.monotonic() < end:
+        while len(held) < 20:
+            with contextlib.suppress(OSError):
+                held.append(socket.create_connection((host, port), timeout=2))
+                held[-1].sendall(head)
+                held[-1].setblocking(False)
+        for one in list(held):
+            try:
+                one.send(again)
+            except BlockingIOError:
+                pass
+            except OSError:
+                one.close()
+                held.remove(one)
+        time.sleep(0.001)
+    for one in held:
+        one.close()
+
+
+def _ask(host: str, port: int, seconds: float, request: bytes, reset: bool) -> None:
+    """Make requests as fast as they can be made; what is not reset waits for its answer."""
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        with contextlib.suppress(OSError), socket.create_connection((host, port), timeout=2) as one:
+            one.sendall(request)
+            if reset:
+                one.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+            else:
+                one.recv(4096)
 
 
 def _hold(host: str, port: int, seconds: float, count: int, pause_s: float, begun: bytes, more: bytes = b"") -> None:

@@ -8,6 +8,7 @@ import http.client as http_client
 import os
 import select
 import socket
+import struct
 import threading
 from collections.abc import Iterator
 from typing import Any
@@ -263,3 +264,54 @@ def test_connections_wait_until_they_have_sent_a_head(gate: Gate) -> None:
         second, _ = until(lambda: accepted_now(listener))
         for one in (accepted, second, speaker, *silent):
             one.close()
+
+
+@pytest.mark.skipif(not hasattr(select, "epoll"), reason="needs epoll")
+def test_who_comes_now_is_accepted_before_those_who_wait(gate: Gate) -> None:
+    with Listener(socket.AF_INET, socket.SOCK_STREAM) as listener, contextlib.ExitStack() as stack:
+        listener.gate = gate
+        listener.bind(("127.0.0.1", 0))
+        listener.listen()
+        listener.setblocking(False)
+
+        def ask() -> Any:
+            one = stack.enter_context(socket.create_connection(listener.getsockname()))
+            one.sendall(b"GET / HTTP/1.1\r\n\r\n")
+            return one.getsockname()
+
+        waiting = [ask() for _ in range(3)]
+        accepted, first = until(lambda: accepted_now(listener))
+        accepted.close()
+        assert first in waiting
+        newest = ask()
+        # those who wait keep the loop awake, and nobody is lost
+        order = []
+        for _ in range(3):
+            assert select.select([listener], [], [], TIMEOUT_S)[0] == [listener]
+            accepted, address = until(lambda: accepted_now(listener))
+            accepted.close()
+            order.append(address)
+        assert order[0] == newest
+        assert {first, *order} == {*waiting, newest}
+        assert accepted_now(listener) is None
+        assert select.select([listener], [], [], 0)[0] == []
+
+
+@pytest.mark.skipif(not hasattr(select, "epoll"), reason="needs epoll")
+def test_who_has_left_takes_no_place(gate: Gate) -> None:
+    with Listener(socket.AF_INET, socket.SOCK_STREAM) as listener:
+        listener.gate = gate
+        listener.bind(("127.0.0.1", 0))
+        listener.listen()
+        listener.setblocking(False)
+        here = socket.create_connection(listener.getsockname())
+        for _ in range(40):
+            with socket.create_connection(listener.getsockname()) as one:
+                one.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))  # closed by a reset
+                one.sendall(b"GET / HTTP/1.1\r\n\r\n")
+            accepted_now(listener)
+        here.sendall(b"GET / HTTP/1.1\r\n\r\n")
+        accepted, address = until(lambda: accepted_now(listener))
+        assert address == here.getsockname()
+        accepted.close()
+        here.close()

@@ -26,7 +26,7 @@ from psiamfcpp.serve.mavlink import Camera, open_link
 from psiamfcpp.serve.mavlink.link import UdpLink
 from psiamfcpp.serve.mavlink.reports import Reports
 
-from .conftest import BLOB, HEIGHT, TIMEOUT_S, WIDTH, Stream, ask, browse, free_port, later, live, served, until
+from .conftest import BLOB, HEIGHT, TIMEOUT_S, WIDTH, Clock, Stream, ask, browse, free_port, later, live, served, until
 
 SYSTEM, CAMERA = 1, mav.MAV_COMP_ID_CAMERA
 # the blob as shares of the frame: left, top, right, bottom
@@ -531,6 +531,35 @@ def test_a_link_has_a_share_for_each_peer_and_room_for_who_commands() -> None:
         assert known in link._peers
         assert len(link._peers) == 16
         assert crowd[-1] in link._peers
+    finally:
+        link.close()
+
+
+def test_whoever_speaks_from_ever_new_ports_pushes_out_itself() -> None:
+    clock = Clock()
+    link = UdpLink("127.0.0.1", 9, listen=False, clock=clock)
+    try:
+        stations = [("10.0.0.1", port) for port in range(5)]
+        for station in stations:
+            link.accept(station)
+        for port in range(200):
+            clock.now += 0.01
+            # each of them commands, which counts for nothing against an address of few ports
+            link.accept(("10.0.0.2", port), commands=True)
+        assert set(stations) <= link._peers.keys()
+        assert ("10.0.0.2", 199) in link._peers
+        assert len(link._peers) == 16
+        # even at one address those stay that were there before
+        first = next(peer for peer in link._peers if peer[0] == "10.0.0.2")
+        for port in range(200, 400):
+            clock.now += 0.01
+            link.accept(("10.0.0.2", port), commands=True)
+        assert first in link._peers
+        # and who falls silent makes room
+        clock.now += 16
+        link.accept(stations[0])
+        link.send(b"")
+        assert list(link._peers) == [stations[0]]
     finally:
         link.close()
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import os
 import shutil
@@ -174,6 +175,85 @@ def test_a_full_disk_keeps_what_was_recorded(
     assert sorted(path.name for path in folder.iterdir()) == ["boxes.csv", "video.mkv"]
     assert count_frames(folder / "video.mkv") > 5
     # and the next one begins anew
+    recorder.start()
+    assert recorder.on
+
+
+def test_a_stream_that_comes_back_with_another_size_is_recorded_on(
+    recorder: Recorder, follower: Follower, stream: Stream, tmp_path: Path
+) -> None:
+    follower.add(BLOB)
+    recorder.start()
+    (first,) = (tmp_path / "records").iterdir()
+    until(lambda: len(frames_of(first)) > 3)
+    draw = stream._draw
+    stream._draw = lambda box, width, height: draw(box, width=320, height=240)
+    second = until(lambda: next((each for each in (tmp_path / "records").iterdir() if each != first), None))
+    until(lambda: (second / "boxes.csv").exists() and len(frames_of(second)) > 3)
+    assert recorder.on
+    recorder.stop()
+    recorder.stop()
+    for folder, shape in ((first, (HEIGHT, WIDTH, 3)), (second, (240, 320, 3))):
+        with open_source(folder / "video.mkv") as source:
+            assert next(source).shape == shape
+    assert told(follower, "the stream changed its size to 320x240")
+
+
+def test_whatever_ends_a_recording_is_told_and_the_next_one_begins(
+    recorder: Recorder, follower: Follower, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def broken(*_: object) -> None:
+        raise RuntimeError("out of\norder")
+
+    with monkeypatch.context() as broken_writer:
+        broken_writer.setattr(VideoWriter, "write", broken)
+        recorder.start()
+        until(lambda: told(follower, "recording ended: out of order"))
+        until(lambda: not recorder.on)
+    recorder.start()
+    recorder.start()
+    assert recorder.on
+
+
+def test_two_who_start_at_once_record_once(recorder: Recorder, follower: Follower, tmp_path: Path) -> None:
+    both = threading.Barrier(8)
+
+    def begin() -> None:
+        both.wait(TIMEOUT_S)
+        recorder.start()
+
+    threads = [threading.Thread(target=begin) for _ in range(8)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join(TIMEOUT_S)
+    assert len(list((tmp_path / "records").iterdir())) == 1
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="needs limits on files")
+def test_without_a_file_left_a_recording_is_refused(recorder: Recorder, follower: Follower, tmp_path: Path) -> None:
+    resource = pytest.importorskip("resource")
+    later(follower)
+    before = resource.getrlimit(resource.RLIMIT_NOFILE)
+    probe = os.open(os.devnull, os.O_RDONLY)
+    filled = []
+    # from none to those that a recording needs
+    for spare in range(4):
+        resource.setrlimit(resource.RLIMIT_NOFILE, (probe + 20, before[1]))
+        try:
+            with contextlib.suppress(OSError):
+                while True:
+                    filled.append(os.open(os.devnull, os.O_RDONLY))
+            for _ in range(spare):
+                os.close(filled.pop())
+            with contextlib.suppress(UserError):
+                recorder.start()
+        finally:
+            resource.setrlimit(resource.RLIMIT_NOFILE, before)
+            while filled:
+                os.close(filled.pop())
+        recorder.stop()
+    os.close(probe)
     recorder.start()
     assert recorder.on
 

@@ -13,7 +13,7 @@ import select
 import socket
 import time
 import weakref
-from collections import Counter, deque
+from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -26,8 +26,9 @@ _SHARE = 0.5
 # Connections that the system completes before they are accepted. In a flood the operator's waits among them: with a
 # short queue its first packet would be dropped, and sent again after a second.
 _WAITING = 1024
-# Connections that are looked at in a row, before the server's loop goes on.
-_LOOKED_AT = 32
+# Connections that are taken, and looked at, in a row, before the server's loop goes on. More are looked at, so that
+# those which have left again never become many.
+_TAKEN, _LOOKED_AT = 64, 192
 # What ends the head of a request; one that is longer is for the server to refuse.
 _HEAD_ENDS = (b"\n\r\n", b"\n\n")
 _LONGEST_HEAD = 16 * 1024
@@ -146,26 +147,33 @@ class Gate:
 class Listener(socket.socket):
     """A listening socket whose connections wait until they have sent the head of a request, and then are accepted.
 
+    The newest is accepted first: in a flood that the server cannot keep up with, the oldest wait in vain, be it in a
+    queue or not, and whoever comes now is served at once. Newcomers are taken before anybody is accepted, since those
+    for whom the system's queue has no room try again a second later.
+
     A connection that says nothing costs a twentieth of one that the server's loop has taken over. So the socket that
     the loop watches (`fileno`) is a set of all those that wait (epoll), where the system has such; elsewhere
     connections are accepted at once. Which may wait is for the gate to say; a lack of files is no failure.
     """
 
     gate: Gate | None = None
-    _spare = -1
+    _spare = _bell = -1
     _poll: Any = None
 
     def listen(self, backlog: int = 0, /) -> None:
         """Listen with a queue that bears a flood, whatever the server asks for."""
         self._spare = os.open(os.devnull, os.O_RDONLY)
         self._waiting: dict[int, tuple[socket.socket, Any]] = {}
-        self._ready: deque[tuple[socket.socket, Any]] = deque()
+        self._ready: list[tuple[socket.socket, Any]] = []
         # those that have sent a part of a head
         self._begun: weakref.WeakSet[socket.socket] = weakref.WeakSet()
         super().listen(_WAITING)
         if hasattr(select, "epoll"):
             self._poll = select.epoll()
             self._poll.register(super().fileno(), select.EPOLLIN)
+            # rings as long as somebody can be accepted
+            self._bell = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
+            self._poll.register(self._bell, select.EPOLLIN)
 
     def fileno(self) -> int:
         """What becomes readable when `accept` has something to give."""
@@ -179,16 +187,15 @@ class Listener(socket.socket):
         """
         if self._poll is None:
             return self._take()
-        if not self._ready:
-            self._look()
+        self._look()
         while self._ready:
-            connection, address = self._ready.popleft()
+            connection, address = self._ready.pop()
             if connection.fileno() >= 0:  # else the gate closed it meanwhile
-                self._poll.unregister(connection.fileno())
-                self._waiting.pop(connection.fileno(), None)
                 if self.gate is not None:
                     self.gate.hand(address[:2])
                 return connection, address
+        with contextlib.suppress(BlockingIOError):
+            os.eventfd_read(self._bell)
         raise BlockingIOError("nobody has said anything")
 
     def close(self) -> None:
@@ -196,45 +203,45 @@ class Listener(socket.socket):
         if self._spare >= 0:
             os.close(self._spare)
             self._spare = -1
-            for connection, _ in self._waiting.values():
+            for connection, _ in (*self._waiting.values(), *self._ready):
                 connection.close()
         if self._poll is not None:
+            os.close(self._bell)
             self._poll.close()
             self._poll = None
         super().close()
 
     def _look(self) -> None:
-        """Collect those that have sent what is needed, then let newcomers wait."""
-        found = [number for number, _ in self._poll.poll(0, _LOOKED_AT)]
-        for number in found:
+        """Let newcomers wait, then collect those that have sent what is needed."""
+        for _ in range(_TAKEN):
+            try:
+                connection, address = self._take()
+            except ConnectionAbortedError:
+                continue
+            except OSError:
+                break
+            connection.setblocking(False)
+            self._waiting[connection.fileno()] = (connection, address)
+            self._poll.register(connection.fileno(), select.EPOLLIN)
+        for number, news in self._poll.poll(0, _LOOKED_AT):
             if number in self._waiting:
-                self._consider(number)
-        if super().fileno() in found:
-            for _ in range(_LOOKED_AT):
-                try:
-                    connection, address = self._take()
-                except ConnectionAbortedError:
-                    continue
-                except OSError:
-                    break
-                connection.setblocking(False)
-                self._waiting[connection.fileno()] = (connection, address)
-                self._poll.register(connection.fileno(), select.EPOLLIN)
+                self._consider(number, bool(news & (select.EPOLLHUP | select.EPOLLERR)))
 
-    def _consider(self, number: int) -> None:
+    def _consider(self, number: int, reset: bool) -> None:
         """Accept, keep or drop a connection of which there is news."""
         connection, address = self._waiting[number]
-        try:
-            sent = connection.recv(_LONGEST_HEAD, socket.MSG_PEEK)
-        except OSError:
-            sent = b""
+        sent = b""
+        if not reset:  # what was sent before a reset could still be read, but nobody is there to be answered
+            with contextlib.suppress(OSError):
+                sent = connection.recv(_LONGEST_HEAD, socket.MSG_PEEK)
         if not sent:  # the other end has left
             del self._waiting[number]
             connection.close()
         elif len(sent) == _LONGEST_HEAD or any(end in sent for end in _HEAD_ENDS):
-            # until it is accepted, it stays news
-            self._poll.modify(number, select.EPOLLIN)
+            self._poll.unregister(number)
+            del self._waiting[number]
             self._ready.append((connection, address))
+            os.eventfd_write(self._bell, 1)
         elif connection not in self._begun:
             # what is there already is no news any more; the next byte is
             self._poll.modify(number, select.EPOLLIN | select.EPOLLET)

@@ -93,8 +93,11 @@ class Recorder:
             if self._take in self._follower.listeners:
                 self._follower.listeners.remove(self._take)
             if self._thread is not None:
-                if self._thread.is_alive():
-                    self._shots.put(None)
+                while self._thread.is_alive():
+                    # again and again: a thread that ends by itself makes no room any more
+                    with contextlib.suppress(queue.Full):
+                        self._shots.put(None, timeout=0.1)
+                        break
                 self._thread.join()
                 self._thread = None
 
@@ -107,14 +110,21 @@ class Recorder:
                 self._last = shot.number
 
     def _run(self, recording: _Recording, shots: queue.Queue[Shot | None]) -> None:
+        shot: Shot | None = None
         try:
-            self._follower.tell(f"recording to {recording.folder.name}")
-            with recording:
-                while (shot := shots.get()) is not None:
-                    recording.write(shot, behind=not shots.empty())
-            self._follower.tell(f"recorded {recording.folder.name}")
-        except (UserError, OSError) as error:
-            self._follower.tell(f"recording ended: {error}")
+            while True:
+                self._follower.tell(f"recording to {recording.folder.name}")
+                with recording:
+                    shot = _fill(recording, shots, shot)
+                self._follower.tell(f"recorded {recording.folder.name}")
+                if shot is None:
+                    return
+                # a camera that comes back in another mode is recorded on
+                height, width = shot.image.shape[:2]
+                self._follower.tell(f"the stream changed its size to {width}x{height}")
+                recording = _Recording(self._make_folder(), self._follower.source_fps, shot)
+        except Exception as error:  # whatever it is, the operator must know that nothing is recorded any more
+            self._follower.tell(f"recording ended: {' '.join(str(error).split()) or type(error).__name__}")
         finally:
             # so that a last `put` finds room
             while not shots.empty():
@@ -132,6 +142,15 @@ class Recorder:
                 raise UserError(f"recordings {self._folder} cannot be written: {error.strerror or error}") from None
             return folder
         raise UserError(f"recordings {self._folder} holds {name} already")
+
+
+def _fill(recording: _Recording, shots: queue.Queue[Shot | None], first: Shot | None) -> Shot | None:
+    """Record until the end, or until a shot of another size comes, which is returned."""
+    shot = first or shots.get()
+    while shot is not None and recording.fits(shot):
+        recording.write(shot, behind=not shots.empty())
+        shot = shots.get()
+    return shot
 
 
 class _Recording:
@@ -160,6 +179,11 @@ class _Recording:
         self._syncer.join()
         self._stack.close()
 
+    def fits(self, shot: Shot) -> bool:
+        """Whether a frame has the size of this video."""
+        height, width = shot.image.shape[:2]
+        return (width, height) == self._size
+
     def write(self, shot: Shot, behind: bool) -> None:
         """Append a frame and its targets.
 
@@ -169,11 +193,8 @@ class _Recording:
                 that encodes fewer frames than the source has would fall behind more and more.
 
         Raises:
-            UserError: the disk is full, or the stream changed its size.
+            UserError: the disk is full, or the frame has another size than the first.
         """
-        height, width = shot.image.shape[:2]
-        if (width, height) != self._size:
-            raise UserError(f"the stream changed its size from {self._size[0]}x{self._size[1]}: start a new recording")
         seconds = max(0.0, shot.read_at - self._start)
         self._table.write(*(csv_row(seconds, shot.number, *target) for target in shot.tracks.items()))
         image = draw_targets(shot.image, shot.tracks)

@@ -75,6 +75,9 @@ class VideoWriter:
         width, height = size[0] + size[0] % 2, size[1] + size[1] % 2
         try:
             self._encoder = _encoder(self._part, fps, (width, height))
+        except OSError as error:
+            self._part.unlink(missing_ok=True)
+            raise UserError(f"video {path} cannot be written: {error.strerror or error}") from None
         except BaseException:
             self._part.unlink(missing_ok=True)
             raise
@@ -225,7 +228,10 @@ class _H264:
             # What the encoder, the cluster and the buffer hold is lost with the process: by default 14 s and more.
             options["tune"] = "zerolatency"
             on_disk = {"cluster_time_limit": str(_CLUSTER_MS), "flush_packets": "1"}
-        self._container = av.open(str(path), "w", options=on_disk)
+        try:
+            self._container = av.open(str(path), "w", options=on_disk)
+        except av.FFmpegError as error:
+            raise OSError(error.errno, error.strerror) from None
         self._stream = self._container.add_stream("libx264", rate=rate, options=options)
         self._stream.width, self._stream.height = size
         self._stream.pix_fmt = "yuv420p"

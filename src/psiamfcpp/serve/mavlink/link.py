@@ -6,6 +6,7 @@ import contextlib
 import socket
 import threading
 import time
+from collections import Counter
 from collections.abc import Callable
 from typing import Any, NamedTuple, Protocol
 
@@ -117,14 +118,23 @@ class UdpLink:
                 return None
 
     def accept(self, peer: Peer, commands: bool = False) -> None:
-        """See `Link`; where there are too many, the one that was heard longest ago and never commanded goes."""
+        """See `Link`; where there are too many, one that never commanded goes, of the address that has most.
+
+        Of several such, the one that came last: so whoever speaks from ever new ports pushes out itself.
+        """
         with self._lock:
+            now = self._clock()
             seen = self._peers.get(peer)
             if seen is None and len(self._peers) >= _MOST_PEERS:
+                ports = Counter(address for address, *_ in self._peers)
                 del self._peers[
-                    min(self._peers, key=lambda other: (self._peers[other].commands, self._peers[other].at))
+                    max(
+                        self._peers,
+                        key=lambda one: (ports[one[0]], not self._peers[one].commands, self._peers[one].since),
+                    )
                 ]
-            self._peers[peer] = _Seen(self._clock(), commands or (seen is not None and seen.commands))
+            since = now if seen is None else seen.since
+            self._peers[peer] = _Seen(since, now, commands or (seen is not None and seen.commands))
 
     def send(self, data: bytes) -> None:
         """See `Link`; may be called in any thread."""
@@ -147,6 +157,7 @@ class UdpLink:
 
 
 class _Seen(NamedTuple):
+    since: float
     at: float
     commands: bool
 
