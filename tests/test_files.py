@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import json
 import os
 import signal
 import stat
@@ -10,9 +11,22 @@ from contextlib import AbstractContextManager
 from pathlib import Path
 
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from psiamfcpp.errors import UserError
-from psiamfcpp.files import check_outputs, whole, write_whole
+from psiamfcpp.files import (
+    check_file,
+    check_outputs,
+    parse_json,
+    printable,
+    read_bytes,
+    read_json,
+    read_table,
+    read_text,
+    whole,
+    write_whole,
+)
 
 OLD = "old content\n"
 
@@ -124,9 +138,9 @@ def test_an_output_that_is_an_input_is_refused_whatever_its_name(tmp_path: Path)
     link.symlink_to(source)
     for output in (source, link, tmp_path / "x" / ".." / "a.mp4"):
         (tmp_path / "x").mkdir(exist_ok=True)
-        for given in (source, link, tmp_path, str(tmp_path / "a*.mp4")):
+        for name in (source, link, tmp_path, str(tmp_path / "a*.mp4")):
             with pytest.raises(UserError, match=r"output .* is the input .*: choose another name"):
-                check_outputs([output], [None, "rtsp://camera", given])
+                check_outputs([output], [None, "rtsp://camera", name])
     check_outputs([other, None, tmp_path / "new.mp4"], [source, "siamfcpp-alexnet"])
 
 
@@ -141,3 +155,100 @@ def test_a_broken_link_hides_no_other_file_of_a_folder(tmp_path: Path) -> None:
     with pytest.raises(UserError, match="is the input"):
         check_outputs([tmp_path / "1.jpg"], [tmp_path])
     check_outputs([tmp_path / "2.jpg"], ["\0", "x" * 5000])
+
+
+@pytest.mark.parametrize(
+    "content",
+    ["1,2\né\n".encode(), "1,2\né\n".encode("utf-8-sig"), "1,2\né\n".encode("utf-16")],
+    ids=["utf-8", "mark", "utf-16"],
+)
+def test_text_with_any_byte_order_mark(tmp_path: Path, content: bytes):
+    (tmp_path / "a.txt").write_bytes(content)
+    assert read_text(tmp_path / "a.txt", "boxes") == "1,2\né\n"
+    assert [(line, list(row.items())) for line, row in read_table(tmp_path / "a.txt", "table")] == [
+        (2, [("1", "é"), ("2", "")])
+    ]
+
+
+def _pipe(path: Path) -> None:
+    os.mkfifo(path)
+
+
+def _huge(path: Path) -> None:
+    path.touch()
+    os.truncate(path, 2**40)
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda path: None, "boxes .*a.txt does not exist: fetch it"),
+        (lambda path: path.mkdir(), "boxes .*a.txt is not a file: fetch it"),
+        (_pipe, "boxes .*a.txt is not a file: fetch it"),
+        (_huge, r"boxes .*a.txt has 1,099,511,627,776 bytes, at most .* are read: fetch it"),
+        (lambda path: path.write_bytes(b"a\xff"), r"boxes .*a.txt cannot be read \(it is no text, .*\): fetch it"),
+        (lambda path: path.symlink_to(path), r"boxes .*a.txt cannot be read \(Too many levels .*\): fetch it"),
+    ],
+    ids=["missing", "folder", "pipe", "huge", "no text", "circle"],
+)
+def test_what_cannot_be_read_as_text(tmp_path: Path, make: Callable[[Path], object], message: str):
+    make(tmp_path / "a.txt")
+    with pytest.raises(UserError, match=message):
+        read_text(tmp_path / "a.txt", "boxes", "fetch it")
+
+
+@pytest.mark.parametrize("name", ["a" * 500, "a\0b"])
+@pytest.mark.parametrize("read", [read_bytes, check_file])
+def test_impossible_names(tmp_path: Path, read: Callable[[Path, str], object], name: str):
+    with pytest.raises(UserError, match=r"boxes .* cannot be read"):
+        read(tmp_path / name, "boxes")
+
+
+def test_a_name_that_is_not_utf8_is_not_handed_to_libraries(tmp_path: Path):
+    path = tmp_path / os.fsdecode(b"\xff\xfe.bin")
+    path.write_bytes(b"abc")
+    assert read_bytes(path, "file") == b"abc"
+    with pytest.raises(UserError, match="its name is not UTF-8: rename it"):
+        check_file(path, "file")
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("[" * 100_000, "plan is not JSON"),
+        ("[" * 65 + "]" * 65, "nested more than 64 deep"),
+        ('{"a":' * 65 + "1" + "}" * 65, "nested more than 64 deep"),
+        ("9" * 400, "a number of 400 digits"),
+        ("-" + "9" * 5000, "a number of 5000 digits"),
+        ("{", "plan is not JSON"),
+        ("", "plan is not JSON"),
+    ],
+)
+def test_json_without_bounds_is_refused(text: str, message: str):
+    with pytest.raises(UserError, match=message) as caught:
+        parse_json(text, "plan")
+    assert len(str(caught.value)) < 300
+
+
+@settings(max_examples=30)
+@given(st.recursive(st.none() | st.booleans() | st.text() | st.integers(-(10**299), 10**299), st.lists, max_leaves=20))
+def test_json_within_bounds_is_read(value: object):
+    assert parse_json(json.dumps(value), "plan") == value
+
+
+def test_json_of_a_file_is_named(tmp_path: Path):
+    (tmp_path / "a.json").write_text("{")
+    with pytest.raises(UserError, match=r"plan .*a\.json is not JSON"):
+        read_json(tmp_path / "a.json", "plan")
+
+
+@given(st.text(st.characters(codec=None)))
+def test_printable_text_moves_no_cursor_and_can_be_encoded(text: str):
+    shown = printable(text)
+    assert shown.isprintable()
+    shown.encode()
+
+
+def test_names_that_are_not_utf8_are_written_as_they_are(tmp_path: Path):
+    write_whole(tmp_path / "a.csv", os.fsdecode(b"\xff,1\n"))
+    assert (tmp_path / "a.csv").read_bytes() == b"\xff,1\n"

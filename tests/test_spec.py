@@ -87,7 +87,7 @@ def described(**changes: Any) -> str:
         (described(calibration={"zzz": 1}), "unknown key 'zzz' in Calibration; known are bias, score_weight"),
         (described(constants=[1, 2, 3]), "TrackingConstants in the model description is not an object"),
         (described(calibration=7), "Calibration in the model description is not an object"),
-        (described(search_size="303"), "search_size in ModelSpec is '303', which is no such number"),
+        (described(search_size="303"), "search_size in ModelSpec is '303', which is no such value"),
         (described(search_size=303.0), "search_size in ModelSpec is 303.0"),
         (described(constants={"test_lr": "fast"}), "test_lr in TrackingConstants is 'fast'"),
         (described(constants={"test_lr": None}), "test_lr in TrackingConstants is None"),

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+import io
 import os
 import re
-import stat
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
@@ -14,10 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from psiamfcpp.errors import UserError
+from psiamfcpp.files import is_file, read_bytes
 from psiamfcpp.geometry import Image
 
 # In percent: what is darker or brighter is cut off.
 _OUTLIERS = (0.1, 99.9)
+# How JPEG and PNG begin and end.
+_WHOLE = ((b"\xff\xd8", b"\xff\xd9"), (b"\x89PNG\r\n\x1a\n", b"IEND\xaeB`\x82"))
 IMAGE_SUFFIXES = {".bmp", ".jpeg", ".jpg", ".png", ".tif", ".tiff", ".webp"}
 
 
@@ -37,12 +40,11 @@ class ImageReader:
         Raises:
             UserError: the file is missing, is no file or cannot be decoded.
         """
+        # imread cannot open every name on every system
+        data = np.frombuffer(read_bytes(path, "image", "replace or remove it"), np.uint8)
         try:
-            # imread cannot open every name on every system
-            image = _decoded(_bytes(path))
-        except FileNotFoundError:
-            raise UserError(f"image {path} does not exist") from None
-        except (OSError, ValueError, cv2.error):
+            image = _decoded(data)
+        except cv2.error:
             image = None
         if image is None:
             raise UserError(f"image {path} cannot be read: replace or remove it")
@@ -71,15 +73,21 @@ def read_image(path: Path) -> Image:
     return ImageReader().read(path)
 
 
-def _bytes(path: Path) -> NDArray[np.uint8]:
-    """The content of a regular file; a pipe would be waited for without end, and a device may have no end."""
-    # without O_NONBLOCK already opening a pipe waits for its writer
-    descriptor = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
-    if not stat.S_ISREG(os.fstat(descriptor).st_mode):
-        os.close(descriptor)
-        raise UserError(f"image {path} is not a file: replace or remove it")
-    with os.fdopen(descriptor, "rb") as file:
-        return np.fromfile(file, dtype=np.uint8)
+def is_readable(path: Path) -> bool:
+    """Whether an image file can be read; most are only looked at, not decoded, since sets hold millions of them."""
+    try:
+        with path.open("rb") if is_file(path) else io.BytesIO() as file:
+            head = file.read(8)
+            file.seek(-min(len(head), 8), os.SEEK_END)
+            tail = file.read()
+    except OSError:
+        return False
+    if any(head.startswith(begin) and tail.endswith(end) for begin, end in _WHOLE):
+        return True
+    try:
+        return bool(len(read_image(path)))
+    except UserError:
+        return False
 
 
 def _decoded(data: NDArray[np.uint8]) -> NDArray[Any] | None:

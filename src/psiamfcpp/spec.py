@@ -15,6 +15,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from psiamfcpp.errors import UserError
+from psiamfcpp.files import parse_json
 from psiamfcpp.models.arch import DEFAULT, Architecture, architecture
 
 FORMAT = "psiamfcpp-model/1"
@@ -25,7 +26,18 @@ FULL_WIDTHS: dict[str, int] = architecture(DEFAULT).groups
 # What a spec takes from its architecture unless it is given.
 _OWN: Any = None
 # What JSON may hold for a field, by its annotation.
-_NUMBERS: dict[Any, Any] = {"int": int, "float": (int, float)}
+_KINDS: dict[Any, Any] = {
+    "int": int,
+    "float": (int, float),
+    "str": str,
+    "dict[str, int]": dict,
+    "dict[str, Any]": dict,
+}
+# Far above any network of use: larger ones are damaged files, for which no memory would do.
+_MOST_FILTERS = 2**14
+_MOST_PIXELS = 2**11
+# Entries of the provenance to which each step appends.
+_STEPS = ("training", "pruning")
 
 
 @dataclass(frozen=True)
@@ -82,7 +94,14 @@ class ModelSpec:
             if getattr(self, name) is None:
                 object.__setattr__(self, name, value)
         _check_widths(self.widths, arch)
-        self.arch.score_size(self.search_size, self.template_size)
+        if self.template_size != arch.template_size:
+            raise UserError(f"template size is {self.template_size}: {architecture} has {arch.template_size}")
+        if self.search_size > _MOST_PIXELS:
+            raise UserError(f"search size {self.search_size} is too large: at most {_MOST_PIXELS} pixels")
+        arch.score_size(self.search_size)
+        wrong = next((key for key in _STEPS if not isinstance(self.provenance.get(key, []), list)), None)
+        if wrong is not None:
+            raise UserError(f"{wrong} in the provenance is no list of steps: the file is damaged")
 
     @property
     def arch(self) -> Architecture:
@@ -104,10 +123,7 @@ class ModelSpec:
         Raises:
             UserError: not JSON, another format, an unknown key (its nearest name is given) or a value out of range.
         """
-        try:
-            data = json.loads(text)
-        except json.JSONDecodeError as error:
-            raise UserError(f"model description is not JSON ({error}): the file is damaged or foreign") from None
+        data = parse_json(text, "model description")
         if not isinstance(data, dict) or data.pop("format", None) != FORMAT:
             raise UserError(f"model description is not {FORMAT}: the file comes from another program or version")
         constants = _build(TrackingConstants, data.pop("constants", {}))
@@ -147,24 +163,28 @@ def _check_widths(widths: Mapping[str, int], arch: Architecture) -> None:
             f"widths need the {len(arch.groups)} groups; missing {sorted(missing)}, unknown {sorted(extra)}"
         )
     for name, width in widths.items():
-        if not isinstance(width, int) or width < 1:
-            raise UserError(f"width of {name} is {width!r}: it must be a whole number above 0")
+        if not isinstance(width, int) or isinstance(width, bool) or not 1 <= width <= _MOST_FILTERS:
+            raise UserError(f"width of {name} is {width!r}: it must be a whole number from 1 to {_MOST_FILTERS}")
 
 
 def _build(cls: type[Any], data: Any) -> Any:
     """A dataclass from a JSON object; an unknown key is an error that names the nearest known one."""
     if not isinstance(data, dict):
         raise UserError(f"{cls.__name__} in the model description is not an object: the file is damaged")
-    known = {f.name: _NUMBERS.get(f.type) for f in dataclasses.fields(cls)}
+    known = {f.name: _KINDS.get(f.type) for f in dataclasses.fields(cls)}
     for key, value in data.items():
         if key not in known:
             near = difflib.get_close_matches(key, known, n=1)
             hint = f": did you mean {near[0]!r}?" if near else f"; known are {', '.join(known)}"
             raise UserError(f"unknown key {key!r} in {cls.__name__}{hint}")
         kind = known[key]
-        if kind and not (isinstance(value, kind) and math.isfinite(value)):
-            raise UserError(f"{key} in {cls.__name__} is {value!r}, which is no such number: the file is damaged")
-    try:
-        return cls(**data)
-    except TypeError as error:
-        raise UserError(f"{cls.__name__} in the model description is damaged: {error}") from None
+        if kind and not _is_of(value, kind):
+            raise UserError(f"{key} in {cls.__name__} is {value!r}, which is no such value: the file is damaged")
+    return cls(**data)
+
+
+def _is_of(value: Any, kind: Any) -> bool:
+    """Whether a value that JSON held is of a kind; True and False are no numbers, nor is NaN or what is infinite."""
+    if isinstance(value, (int, float)):
+        return isinstance(value, kind) and not isinstance(value, bool) and math.isfinite(value)
+    return isinstance(value, kind)

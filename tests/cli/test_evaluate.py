@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import shutil
 from collections.abc import Callable
@@ -40,6 +41,7 @@ def test_evaluate_scores_a_folder(run: Run, blob_engine: Any, blob_sequence: Seq
             "convention",
             "invalid_rows",
             "missing_sequences",
+            "left_out",
             "sequences",
             *FIGURES,
             *SPEED,
@@ -266,3 +268,29 @@ def test_train_refuses(
     monkeypatch.chdir(tmp_path)
     assert message in run("train", "--data", data, "--init", tiny_model, "-o", "out").refused()
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("name", ["car2/groundtruth_rect.txt", "car2/img/0003.png"])
+def test_sequences_that_cannot_be_read_count_as_missing_where_that_is_allowed(
+    run: Run, blob_engine: Any, blob_sequence: Sequences, name: str
+) -> None:
+    for sequence in ("car1", "car2", "car3"):
+        root = blob_sequence(sequence, PATH[:4])
+    (root / name).unlink()
+    if name.endswith("txt"):
+        (root / name).write_text("1,2,three,4\n")
+    command = ("evaluate", "--root", root, "--tracker", "blob", "--json")
+    assert "car2" in run(*command).refused()
+    ended = run(*command, "--allow-missing")
+    row = json.loads(ended.out)["results"][0]
+    assert (list(row["sequences"]), row["missing_sequences"], list(row["left_out"])) == (["car1", "car3"], 1, ["car2"])
+    assert "blob: 1 of 3 sequences are missing and do not count" in ended.err
+
+
+def test_a_sequence_whose_name_is_not_utf8_is_run_and_shown(
+    run: Run, blob_engine: Any, blob_sequence: Sequences
+) -> None:
+    root = blob_sequence("car1", PATH[:3])
+    (root / "car1").rename(root / os.fsdecode(b"car\xff"))
+    ended = run("evaluate", "--root", root, "--tracker", "blob")
+    assert (ended.code, "car\\udcff" in ended.out) == (0, True)

@@ -66,6 +66,20 @@ def test_models_that_are_none_are_refused(run: Run, tmp_path: Path, command: tup
         assert message in complaint
 
 
+def test_what_a_model_says_of_itself_moves_no_cursor(run: Run, tiny_model: Path, tmp_path: Path) -> None:
+    network = load(tiny_model)
+    network.spec = dataclasses.replace(network.spec, provenance={"note": "\x1b[2J\x07 \ud800 M\u00fcller"})
+    save(tmp_path / "model.safetensors", network)
+    ended = run("info", tmp_path / "model.safetensors")
+    assert "note \\x1b[2J\\x07 \\ud800 M\u00fcller" in ended.out
+    assert "\x1b[2J\\n" not in run("info", tmp_path / "\x1b[2J").refused()
+
+
+@pytest.mark.parametrize("command", [("evaluate", "--root"), ("datasets", "--root"), ("report", "-o", "x"), ("plan",)])
+def test_a_name_that_is_too_long_is_one_line(run: Run, command: tuple[str, ...]) -> None:
+    assert run(*command, "a" * 500).refused()
+
+
 # import
 
 

@@ -43,7 +43,7 @@ def test_score_prints_one_json_object(run: Run, command: list[str | Path]) -> No
     rows = {(row["tracker"], row["convention"]): row for row in data["results"]}
     assert rows.keys() == {(t, c) for t in ("far", "near") for c in ("otb", "got10k")}
     for row in rows.values():
-        others = {"invalid_rows", "missing_sequences", "sequences", "fps", "fps_mean"}
+        others = {"invalid_rows", "missing_sequences", "left_out", "sequences", "fps", "fps_mean"}
         assert row.keys() == {"tracker", "dataset", "convention", *FIGURES, *others}
         assert (row["dataset"], row["fps"], list(row["sequences"])) == ("dtb70", None, ["car1", "car2"])
         for figure in FIGURES:
@@ -137,10 +137,58 @@ def test_a_missing_sequence(run: Run, command: list[str | Path]) -> None:
     assert ended.code == 0
     assert ended.err.splitlines() == [
         "far: 1 of 2 sequences are missing and do not count",
+        "far on sequence car2: no result",
         "plots: a folder without results of dtb70, left out",
     ]
     far = json.loads(ended.out)["results"][0]
     assert (list(far["sequences"]), far["missing_sequences"], far["precision"]) == (["car1"], 1, 0.5)
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "reason"),
+    [
+        ("results/far/car2.txt", box(10) * 3, "have 3 rows, but 4 are needed"),
+        ("results/far/car2.txt", box(10) * 3 + "10,1", "line 4 is '10,1'"),
+        ("anno/car2.txt", "1,2,x,4\n", "line 1 is '1,2,x,4'"),
+    ],
+)
+def test_what_does_not_fit_counts_as_missing_where_that_is_allowed(
+    run: Run, command: list[str | Path], tmp_path: Path, name: str, text: str, reason: str
+) -> None:
+    (tmp_path / name).write_text(text)
+    assert reason in run(*command).refused()
+    ended = run(*command, "--allow-missing", "--json")
+    assert ended.code == 0
+    far, *_ = json.loads(ended.out)["results"]
+    assert (list(far["sequences"]), far["missing_sequences"], far["precision"]) == (["car1"], 1, 0.5)
+    assert list(far["left_out"]) == ["car2"]
+    assert reason in far["left_out"]["car2"]
+    assert "far: 1 of 2 sequences are missing and do not count" in ended.err.splitlines()
+    assert any(line.startswith("far on sequence car2: ") and reason in line for line in ended.err.splitlines())
+
+
+def test_a_tracker_whose_results_do_not_fit_does_not_keep_others_from_being_scored(
+    run: Run, command: list[str | Path]
+) -> None:
+    *_, results = command
+    for name in ("car1", "car2"):
+        (Path(results) / "far" / f"{name}.txt").write_text(box(10))
+    ended = run(*command, "--allow-missing", "--convention", "otb", "--json")
+    assert [row["tracker"] for row in json.loads(ended.out)["results"]] == ["near"]
+    assert "far, left out: tracker far has no result that fits, the first: " in ended.err
+    only = (*command[:-1], Path(results) / "far", "--allow-missing")
+    assert "tracker far has no result that fits" in run(*only).refused()
+
+
+@pytest.mark.parametrize("rows", [349, 354])
+def test_tiger1_as_toolkits_count_it(run: Run, tmp_path: Path, rows: int) -> None:
+    boxes = "".join(box(10 if number > 5 else 99) for number in range(1, 355))
+    for name, text in (("otb/Tiger1/groundtruth_rect.txt", boxes), ("res/T/Tiger1.txt", box(10) * rows)):
+        (tmp_path / name).parent.mkdir(parents=True)
+        (tmp_path / name).write_text(text)
+    folders = ("--annotations", tmp_path / "otb", "--results", tmp_path / "res")
+    ended = run("score", "--dataset", "otb100", *folders, "--json")
+    assert {row["precision"] for row in json.loads(ended.out)["results"]} == {1.0}
 
 
 def test_what_cannot_be_scored_is_refused(run: Run, command: list[str | Path], tmp_path: Path) -> None:

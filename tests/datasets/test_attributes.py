@@ -62,5 +62,5 @@ def test_a_damaged_file_is_named(lay, text: str):
 
 
 def test_a_missing_file_is_named(lay):
-    with pytest.raises(UserError, match=r"att/b\.txt cannot be read"):
+    with pytest.raises(UserError, match=r"att/b\.txt does not exist"):
         read_attributes("dtb70", lay({"att/a.txt": ",".join("1" * 11)}), ["a", "b"])

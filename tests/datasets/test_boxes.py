@@ -52,7 +52,7 @@ def test_lines_that_do_not_hold_four_numbers(tmp_path: Path, text: str):
 
 
 def test_boxes_missing(tmp_path: Path):
-    with pytest.raises(UserError, match=r"none\.txt cannot be read"):
+    with pytest.raises(UserError, match=r"none\.txt does not exist"):
         read_boxes(tmp_path / "none.txt")
 
 

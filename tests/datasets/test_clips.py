@@ -53,3 +53,20 @@ def test_tables_that_cannot_be_used(root: Path, text: str, message: str):
     (root / "boxes.csv").write_text(text)
     with pytest.raises(UserError, match=message):
         clips.read(root)
+
+
+def test_odd_rows_and_clips_can_be_left_out(root: Path):
+    rows = "car_0,0,a,1,2,3,4\ncar_0,one,a,1,2,3,4\ntrain,0,a,1,2,3,4\nboat3,9,a,1,2,3,4\n"
+    (root / "boxes.csv").write_text(HEAD + rows)
+    left_out: list[str] = []
+    assert [s.name for s in clips.read(root, left_out)] == ["car_0_ta"]
+    assert len(left_out) == 3
+
+
+def test_a_clip_whose_length_cannot_be_true(root: Path):
+    content = (root / "car_0.mp4").read_bytes()
+    at = content.index(b"stts") + 12  # where the number of frames of one length stands
+    (root / "car_0.mp4").write_bytes(content[:at] + b"\x7f\xff\xff\xff" + content[at + 4 :])
+    (root / "boxes.csv").write_text(HEAD + "car_0,0,a,1,2,3,4\n")
+    with pytest.raises(UserError, match=r"car_0\.mp4 (is damaged|cannot be read)"):
+        clips.read(root)

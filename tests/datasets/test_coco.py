@@ -49,8 +49,54 @@ def test_missing_image_folder_shows_the_layout(lay):
 
 def test_missing_image_is_named(lay):
     root = lay({TRAIN: json.dumps(table())}, empty=("train2017/000001.jpg",))
-    with pytest.raises(UserError, match=r"train2017/000002\.jpg is missing"):
+    with pytest.raises(
+        UserError, match=r"train2017/000002\.jpg does not exist, which .*instances_train2017\.json names"
+    ):
         coco.read(root)
+
+
+@pytest.mark.parametrize(
+    ("annotations", "image"),
+    [
+        ([{"id": 2, "image_id": 1, "category_id": 1, "bbox": []}], "1.jpg"),
+        ([{"id": 2, "image_id": 1, "category_id": 1, "bbox": None}], "1.jpg"),
+        ([{"id": 2, "image_id": 1, "category_id": 1}], "1.jpg"),
+        ([{"id": 2, "image_id": 7, "category_id": 1, "bbox": [1, 2, 3, 4]}], "1.jpg"),
+        ([], "sub/1.jpg"),
+    ],
+    ids=["empty", "null", "no box", "image not listed", "folder"],
+)
+def test_objects_without_a_box_are_left_out_and_images_may_lie_in_folders(lay, annotations: list[dict], image: str):
+    good = {"id": 1, "image_id": 1, "category_id": 1, "bbox": [10, 10, 20, 20], "iscrowd": 0}
+    content = table(images=[{"id": 1, "file_name": image}], annotations=[good, *annotations])
+    root = lay({TRAIN: json.dumps(content)}, empty=(f"train2017/{image}",))
+    (only,) = coco.read(root)
+    assert only.frames == [root / "train2017" / image]
+    assert only.name == f"train2017/{image.removesuffix('.jpg')}#1"
+
+
+def test_a_set_without_any_object_is_refused(lay):
+    root = lay({TRAIN: json.dumps(table(annotations=[]))}, empty=("train2017/000001.jpg",))
+    with pytest.raises(UserError, match="of no object with a box and an image"):
+        coco.read(root)
+
+
+def test_what_is_cut_off_is_no_json(lay):
+    with pytest.raises(UserError, match=r"instances_train2017\.json is not JSON .*fetch them again"):
+        coco.read(lay({TRAIN: "{ cut off"}, empty=("train2017/000001.jpg",)))
+
+
+@pytest.mark.parametrize("bbox", ["[1, 2, 3]", "[1, 2, Infinity, 4]", "[1, 2, 1e999, 4]", '["a", 2, 3, 4]', "true"])
+def test_an_odd_annotation_is_named_and_can_be_left_out(lay, bbox: str):
+    odd = {"id": 77, "image_id": 2, "category_id": 3, "bbox": "BOX"}
+    text = json.dumps(table(annotations=[*table()["annotations"], odd])).replace('"BOX"', bbox)
+    root = lay({TRAIN: text}, empty=("train2017/000001.jpg", "train2017/000002.jpg"))
+    with pytest.raises(UserError, match=r"not COCO instances \(annotation 77: "):
+        coco.read(root)
+    left_out: list[str] = []
+    assert len(coco.read(root, left_out)) == 2
+    assert len(left_out) == 1
+    assert "annotation 77" in left_out[0]
 
 
 def box(value: object) -> list[dict]:
@@ -60,14 +106,11 @@ def box(value: object) -> list[dict]:
 @pytest.mark.parametrize(
     "text",
     [
-        "{ cut off",
         "[]",
         json.dumps({"images": []}),
-        json.dumps(table(images=[])),
         json.dumps(table(categories=[])),
         json.dumps(table(annotations=box([1, 2, 3]))),
         json.dumps(table(annotations=box(["a", 2, 3, 4]))),
-        json.dumps(table(annotations=box(None))),
         json.dumps(table(annotations=["junk"])),
     ],
 )

@@ -30,3 +30,13 @@ def test_the_split_in_the_order_of_its_list_with_all_its_labels(lay, part: str):
 def test_a_listed_sequence_that_is_missing(lay):
     with pytest.raises(UserError, match=r"GOT-10k_Val_000001/groundtruth\.txt is missing; expected layout"):
         VAL.read(lay(files(NAMES[0])))
+
+
+def test_a_sequence_that_is_missing_can_be_left_out_by_name(lay):
+    root, left_out = lay(files(NAMES[0])), dict[str, str]()
+    assert [s.name for s in VAL.read(root, left_out)] == [NAMES[0]]
+    assert list(left_out) == [NAMES[1]]
+    assert "is missing" in left_out[NAMES[1]]
+    labels: dict[str, str] = {}
+    assert list(VAL.read_labels(root, labels)) == [NAMES[0]]
+    assert list(labels) == [NAMES[1]]

@@ -57,3 +57,14 @@ def test_mismatched_counts_name_the_sequence(lay, name: str):
 def test_junk_numbers(lay, name: str):
     with pytest.raises(UserError, match=rf"cat-1/{name}\.txt cannot be read"):
         lasot.read(lay(sequence("cat/cat-1", **{name: "0,x,0,0\n"})))
+
+
+def test_a_sequence_with_an_image_more_than_labels_is_cut_and_named(lay):
+    root = lay({**sequence("cat/cat-1"), "cat/cat-1/img/00000005.jpg": "", **sequence("cat/cat-2", out_of_view="0")})
+    left_out: list[str] = []
+    (only,) = lasot.read(root, left_out)
+    assert (only.name, len(only.frames), len(only.boxes)) == ("cat-1", 4, 4)
+    cut, lost = left_out
+    assert "cat-1 has 5 images but 4 boxes, 4 occlusion flags, 4 view flags: only the first 4 are used" in cut
+    # of three flags that are missing nobody knows which
+    assert "cat-2 has 4 images but 4 boxes, 4 occlusion flags, 1 view flags" in lost

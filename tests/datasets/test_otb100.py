@@ -54,3 +54,13 @@ def test_a_missing_frame_is_named(lay):
     root = lay({"Car4/groundtruth_rect.txt": "1,2,3,4\n" * 3}, (*images("Car4", 1, 1), *images("Car4", 3, 3)))
     with pytest.raises(UserError, match=r"Car4 has 3 boxes, from frame 1 on, but .*Car4/img has no frame 2"):
         OTB100.read(root)
+
+
+@pytest.mark.parametrize("rows", [354, 349])
+def test_tiger1_is_counted_from_its_sixth_frame(lay, rows: int):
+    text = "".join(f"{number},2,3,4\n" for number in range(355 - rows, 355))
+    root = lay({"Tiger1/groundtruth_rect.txt": text}, images("Tiger1", 1, 354))
+    (sequence,) = OTB100.read(root)
+    assert (sequence.frames[0].name, sequence.frames[-1].name) == ("0006.jpg", "0354.jpg")
+    assert (sequence.boxes[0, 0], len(sequence.boxes)) == (6, 349)
+    assert (OTB100.read_labels(root)["Tiger1"] == sequence.boxes).all()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -162,13 +161,6 @@ def test_mat_files_that_hold_something_else(tmp_path: Path) -> None:
     path.write_bytes(path.read_bytes()[:150])
     with pytest.raises(UserError, match=r"car1\.mat cannot be read"):
         read_result(path, 2)
-
-
-def test_mat_files_without_scipy(write: Write, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "scipy.io", None)
-    monkeypatch.setitem(sys.modules, "scipy", None)
-    with pytest.raises(UserError, match=r"car1\.mat are a \.mat file, which SciPy reads: pip install scipy"):
-        read_result(write("car1.mat") / "car1.mat", 1)
 
 
 @pytest.mark.parametrize(

@@ -1,9 +1,11 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 import os
 import stat
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
@@ -12,7 +14,7 @@ from safetensors.torch import save_file
 from psiamfcpp.errors import UserError
 from psiamfcpp.models import load, save
 from psiamfcpp.models.checkpoint import fit, read
-from psiamfcpp.spec import Calibration, TrackingConstants
+from psiamfcpp.spec import FULL_WIDTHS, Calibration, TrackingConstants
 
 
 @pytest.fixture
@@ -140,6 +142,51 @@ def test_damaged_files(checkpoint: Path, damage):
         load(checkpoint)
 
 
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"widths": dict.fromkeys(FULL_WIDTHS, 10**4)}, "of another shape: backbone.conv1.bn.bias"),
+        ({"widths": dict.fromkeys(FULL_WIDTHS, 10**6)}, "width of .* is 1000000: it must be a whole number from 1 to"),
+        ({"widths": {**FULL_WIDTHS, "neck.cls": 10**30}}, "width of neck.cls is 1000000"),
+        ({"widths": {**FULL_WIDTHS, "neck.cls": True}}, "width of neck.cls is True"),
+        ({"template_size": 95}, "template size is 95: siamfcpp-alexnet has 127"),
+        ({"template_size": -1}, "template size is -1"),
+        ({"search_size": 8_000_000_303}, "search size 8000000303 is too large"),
+        ({"search_size": True}, "search_size in ModelSpec is True"),
+        ({"provenance": "mine"}, "provenance in ModelSpec is 'mine'"),
+        ({"provenance": {"training": 3}}, "training in the provenance is no list of steps"),
+        ({"architecture": []}, r"architecture in ModelSpec is \[\]"),
+        ({"architecture": "resnet"}, "unknown architecture 'resnet'"),
+    ],
+)
+def test_a_description_is_compared_with_the_header_before_memory_is_taken(
+    checkpoint: Path, changes: dict[str, Any], message: str
+):
+    spec, weights = read(checkpoint)
+    text = json.dumps({**json.loads(spec.to_json()), **changes})
+    rewrite(checkpoint, weights, {"psiamfcpp": text})
+    with pytest.raises(UserError, match=message) as caught:
+        load(checkpoint)
+    assert len(str(caught.value)) < 4000
+
+
+def test_of_many_unknown_tensors_the_first_are_named(checkpoint: Path):
+    spec, weights = read(checkpoint)
+    more = {f"x{number:05}": torch.zeros(1) for number in range(1000)}
+    rewrite(checkpoint, {**weights, **more}, {"psiamfcpp": spec.to_json()})
+    with pytest.raises(UserError, match=r"extra: x00000, .* and 970 more$"):
+        load(checkpoint)
+
+
+@pytest.mark.parametrize("dtype", [torch.int32, torch.bool, torch.complex64, torch.uint8])
+def test_tensors_of_another_kind_are_named(checkpoint: Path, dtype: torch.dtype):
+    spec, weights = read(checkpoint)
+    name = "neck.cls_search.conv.weight"
+    rewrite(checkpoint, {**weights, name: weights[name].to(dtype)}, {"psiamfcpp": spec.to_json()})
+    with pytest.raises(UserError, match=rf"holds no plain numbers in {name}"):
+        load(checkpoint)
+
+
 @pytest.mark.parametrize("metadata", [{}, {"format": "pt"}])
 def test_foreign_safetensors(checkpoint: Path, metadata: dict[str, str]):
     rewrite(checkpoint, {}, metadata)
@@ -162,7 +209,7 @@ def test_no_such_file(tmp_path: Path):
 def test_a_folder_is_no_checkpoint(tmp_path: Path):
     with pytest.raises(UserError, match="is neither a file nor a shipped model"):
         load(tmp_path)
-    with pytest.raises(UserError, match="cannot be read"):
+    with pytest.raises(UserError, match="is not a file"):
         read(tmp_path)
 
 

@@ -155,5 +155,5 @@ def test_damaged_files_are_refused_whatever_the_damage(tmp_path: Path, zipped: b
 def test_no_such_file(tmp_path: Path):
     with pytest.raises(UserError, match=r"gone\.pkl does not exist"):
         import_official(tmp_path / "gone.pkl")
-    with pytest.raises(UserError, match="does not exist"):
+    with pytest.raises(UserError, match="is not a file"):
         import_official(tmp_path)

@@ -259,7 +259,7 @@ def test_a_plan_for_another_network_is_refused() -> None:
 
 def test_files_that_cannot_be_read_or_written_are_refused(tmp_path: Path) -> None:
     for read in (Plan.read, RankTable.read):
-        with pytest.raises(UserError, match="cannot be read"):
+        with pytest.raises(UserError, match="does not exist"):
             read(tmp_path / "absent.json")
     with pytest.raises(UserError, match="cannot be written"):
         Plan({"a": [0]}).write(tmp_path)

@@ -5,6 +5,7 @@ import pytest
 import torch
 
 from psiamfcpp.datasets import Sequence
+from psiamfcpp.errors import UserError
 from psiamfcpp.training.batches import Batch, collate, numbered_batches
 from psiamfcpp.training.options import PairOptions
 from psiamfcpp.training.pairs import Pair, PairSampler
@@ -46,6 +47,24 @@ def test_processes_together_see_what_one_with_their_batches_would(ranks: int):
     parts = [numbers(rank=rank, ranks=ranks) for rank in range(ranks)]
     together = [[number for part in step for number in part] for step in zip(*parts, strict=True)]
     assert together == numbers(batch=3 * ranks)
+
+
+class Unreadable(Counting):
+    """Pairs of which one cannot be made."""
+
+    def pair(self, index: int) -> Pair:
+        if index == 4:
+            raise UserError("image gone.jpg does not exist")
+        return super().pair(index)
+
+
+@pytest.mark.parametrize("workers", [0, pytest.param(1, marks=pytest.mark.slow)])
+def test_an_image_that_cannot_be_read_is_said_as_it_is(workers: int):
+    found = numbered_batches(Unreadable(), 3, 0, 4, workers=workers)
+    assert next(found).corners[:, 0].tolist() == [0, 1, 2]
+    with pytest.raises(UserError) as caught:
+        next(found)
+    assert str(caught.value) == "image gone.jpg does not exist"
 
 
 def equal(a: Batch, b: Batch) -> bool:

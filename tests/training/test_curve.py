@@ -73,5 +73,5 @@ def test_damaged_logs_are_named(log: Path, data: bytes):
 
 
 def test_missing_log(tmp_path: Path):
-    with pytest.raises(UserError, match=r"gone\.jsonl cannot be read"):
+    with pytest.raises(UserError, match=r"gone\.jsonl does not exist"):
         draw_curve(tmp_path / "gone.jsonl", tmp_path / "curve.png")

@@ -16,6 +16,7 @@ from typing import Any, get_origin, get_type_hints
 import tyro
 
 from psiamfcpp.errors import UserError
+from psiamfcpp.files import printable
 from psiamfcpp.signals import ended_like_ctrl_c
 from psiamfcpp.version import __version__
 
@@ -69,6 +70,9 @@ def main(args: list[str] | None = None) -> int:
         The exit code: 0, or 2 after a one-line error on standard error, or 130 after an interruption.
     """
     args = sys.argv[1:] if args is None else args
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        # a result must not be lost for a name that the terminal cannot show
+        sys.stdout.reconfigure(errors="backslashreplace")
     try:
         if not args or args[0] in ("-h", "--help"):
             print(_overview())
@@ -81,7 +85,7 @@ def main(args: list[str] | None = None) -> int:
         sys.stdout.flush()
         return 0
     except UserError as error:
-        print(f"psiamfcpp: {' '.join(str(error).split())}", file=sys.stderr)
+        print(f"psiamfcpp: {printable(' '.join(str(error).split()))}", file=sys.stderr)
         return 2
     except ModuleNotFoundError as error:
         extra = _OPTIONAL.get((error.name or "").partition(".")[0])
@@ -96,6 +100,13 @@ def main(args: list[str] | None = None) -> int:
         # The reader of our output has left, as `head` does; nothing is wrong, but Python would complain at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
+    except OSError as error:
+        # a file that the system refuses, as one of 500 characters or of another user, wherever it was met
+        if error.filename is None:
+            raise
+        name = os.fsdecode(error.filename) if isinstance(error.filename, (str, bytes)) else error.filename
+        print(f"psiamfcpp: {printable(name)} cannot be used ({error.strerror}): choose another", file=sys.stderr)
+        return 2
 
 
 def _run(command: str, args: list[str]) -> None:

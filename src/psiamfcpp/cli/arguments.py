@@ -14,4 +14,8 @@ HeldOut = Annotated[
     tyro.conf.arg(help="hold out one clip in N of the data, the same N as in `psiamfcpp train`; 0 holds out none"),
 ]
 Overwrite = Annotated[bool, tyro.conf.arg(help="replace files that exist already")]
+SkipBad = Annotated[
+    bool,
+    tyro.conf.arg(help="leave out rows, images and sequences that cannot be read, instead of refusing the data"),
+]
 Json = Annotated[bool, tyro.conf.arg(help="print one JSON object")]

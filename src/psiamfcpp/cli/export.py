@@ -8,7 +8,7 @@ from typing import Any, Literal
 
 import tyro
 
-from psiamfcpp.cli.arguments import HeldOut, Json, Output, Overwrite
+from psiamfcpp.cli.arguments import HeldOut, Json, Output, Overwrite, SkipBad
 from psiamfcpp.cli.output import check_new, print_json, watching
 
 
@@ -22,6 +22,7 @@ def export(
     root: Path | None = None,
     pairs: int = 128,
     layer_loss: float = 0.02,
+    skip_bad: SkipBad = False,
     overwrite: Overwrite = False,
     json: Json = False,
 ) -> None:
@@ -48,6 +49,7 @@ def export(
             format=format,
             data=data,
             held_out_every=held_out_every,
+            skip_bad=skip_bad,
             root=root,
             pairs=pairs,
             layer_loss=layer_loss,
@@ -58,6 +60,7 @@ def export(
         if int8:
             by_layer = {name: dataclasses.asdict(difference) for name, difference in done.by_layer.items()}
             facts |= {"by_layer": by_layer, "float_layers": done.float_layers}
+        facts |= {"left_out": done.left_out} if skip_bad else {}
         print_json(facts | ({"followed": done.followed} if done.followed else {}))
         return
     print(f"on {done.crops} crops, against torch: {done.difference}")

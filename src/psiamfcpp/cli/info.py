@@ -7,6 +7,7 @@ from typing import Any
 
 from psiamfcpp.cli.arguments import Json, Model
 from psiamfcpp.cli.output import print_json
+from psiamfcpp.files import printable
 
 
 def info(model: Model, json: Json = False) -> None:
@@ -32,4 +33,5 @@ def info(model: Model, json: Json = False) -> None:
     print("widths       " + ", ".join(f"{name} {width}" for name, width in spec.widths.items()))
     for title in ("constants", "calibration", "provenance"):
         said = ", ".join(f"{key} {value}" for key, value in (facts[title] or {}).items())
-        print(f"{title:12} {said or 'none'}")
+        # what a file says of itself may be anything
+        print(f"{title:12} {printable(said) or 'none'}")

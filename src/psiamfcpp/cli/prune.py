@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from psiamfcpp.cli.arguments import HeldOut, Json, Model, Output, Overwrite
+from psiamfcpp.cli.arguments import HeldOut, Json, Model, Output, Overwrite, SkipBad
 from psiamfcpp.cli.output import check_new, print_json, watching
 
 
@@ -16,6 +16,7 @@ def prune(
     images: int = 100,
     seed: int = 0,
     held_out_every: HeldOut = 8,
+    skip_bad: SkipBad = False,
     overwrite: Overwrite = False,
     json: Json = False,
 ) -> None:
@@ -37,11 +38,19 @@ def prune(
     check_new([output], overwrite)
     with watching() as watch:
         pruned = recipe.prune(
-            model, plan, output, data=data, images=images, seed=seed, held_out_every=held_out_every, watch=watch
+            model,
+            plan,
+            output,
+            data=data,
+            images=images,
+            seed=seed,
+            held_out_every=held_out_every,
+            skip_bad=skip_bad,
+            watch=watch,
         )
     old, new = pruned.before, pruned.after
     if json:
-        print_json({"before": old, "after": new})
+        print_json({"before": old, "after": new, **({"left_out": pruned.left_out} if skip_bad else {})})
         return
     print(f"parameters  {old['parameters']:,} -> {new['parameters']:,}")
     print(f"search      {old['gmacs']:.2f} -> {new['gmacs']:.2f} GMAC at {pruned.network.spec.search_size} pixels")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from psiamfcpp.cli.arguments import HeldOut, Json, Model, Output
+from psiamfcpp.cli.arguments import HeldOut, Json, Model, Output, SkipBad
 from psiamfcpp.cli.output import print_json, watching
 
 
@@ -14,6 +14,7 @@ def rank(
     batch: int = 4,
     seed: int = 0,
     held_out_every: HeldOut = 8,
+    skip_bad: SkipBad = False,
     json: Json = False,
 ) -> None:
     """Average the rank of each filter's map over template and search crops, as a table to plan pruning with.
@@ -32,7 +33,15 @@ def rank(
 
     with watching() as watch:
         ranks = recipe.rank(
-            model, data, output, images=images, batch=batch, seed=seed, held_out_every=held_out_every, watch=watch
+            model,
+            data,
+            output,
+            images=images,
+            batch=batch,
+            seed=seed,
+            held_out_every=held_out_every,
+            skip_bad=skip_bad,
+            watch=watch,
         )
     rows = recipe.summary(ranks)
     if json:

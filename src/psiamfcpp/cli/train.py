@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from psiamfcpp.cli.arguments import Output
+from psiamfcpp.cli.arguments import Output, SkipBad
 from psiamfcpp.cli.output import notes
 from psiamfcpp.datasets.choice import DataChoice
 from psiamfcpp.recipes.train import train as run_training
@@ -21,6 +21,7 @@ def train(
     run: RunOptions = RunOptions(),  # noqa: B008 - frozen
     held_out_every: int = 10,
     note: str = "",
+    skip_bad: SkipBad = False,
 ) -> None:
     """Train a network, or continue the run found in the output folder.
 
@@ -38,7 +39,7 @@ def train(
     steps = options.schedule.steps
     try:
         run_training(
-            DataChoice(data, held_out_every),
+            DataChoice(data, held_out_every, skip_bad),
             init,
             output,
             options,

@@ -11,12 +11,13 @@ from pathlib import Path
 
 from psiamfcpp.datasets import clips, coco, folder, got10k, imagenet_vid, lasot, stills, trackingnet
 from psiamfcpp.datasets.benchmarks import BENCHMARKS, Benchmark, BenchmarkName
-from psiamfcpp.datasets.sequence import Sequence
+from psiamfcpp.datasets.sequence import LeftOut, Sequence
 from psiamfcpp.errors import UserError
+from psiamfcpp.files import reading
 
 __all__ = ["BENCHMARKS", "READERS", "Benchmark", "BenchmarkName", "Sequence", "named", "read", "read_entry"]
 
-READERS: dict[str, Callable[[Path], list[Sequence]]] = {
+READERS: dict[str, Callable[[Path, LeftOut], list[Sequence]]] = {
     "folder": folder.read,
     "clips": clips.read,
     "stills": stills.read,
@@ -28,21 +29,27 @@ READERS: dict[str, Callable[[Path], list[Sequence]]] = {
 }
 
 
-def read(kind: str, root: Path) -> list[Sequence]:
+def read(kind: str, root: Path, left_out: LeftOut = None) -> list[Sequence]:
     """Read the dataset of a known layout.
+
+    Args:
+        kind: a key of `READERS`.
+        root: folder of the dataset.
+        left_out: given a list, what is not as the layout says is left out, and a line on each is appended.
 
     Raises:
         UserError: the layout is unknown, the root is missing, or the files are not as that layout says.
     """
     if kind not in READERS:
         raise UserError(f"unknown dataset layout {kind!r}: known are {', '.join(READERS)}")
-    if not root.is_dir():
-        raise UserError(f"dataset folder {root} does not exist")
-    return READERS[kind](root)
+    with reading():
+        if not root.is_dir():
+            raise UserError(f"dataset folder {root} does not exist")
+        return READERS[kind](root, left_out)
 
 
-def read_entry(entry: str) -> list[Sequence]:
-    """Read a dataset given as ``LAYOUT:FOLDER``.
+def read_entry(entry: str, left_out: LeftOut = None) -> list[Sequence]:
+    """Read a dataset given as ``LAYOUT:FOLDER``; ``left_out`` is that of `read`.
 
     Raises:
         UserError: there is no colon, or as of `read`.
@@ -50,7 +57,7 @@ def read_entry(entry: str) -> list[Sequence]:
     kind, colon, folder = entry.partition(":")
     if not colon:
         raise UserError(f"data {entry!r} is not LAYOUT:FOLDER; layouts are {', '.join(READERS)}")
-    return read(kind, Path(folder))
+    return read(kind, Path(folder), left_out)
 
 
 def named(entry: str) -> str:

@@ -9,6 +9,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from psiamfcpp.errors import UserError
+from psiamfcpp.files import read_text
 
 _UAV123 = (
     "scale variation", "aspect ratio change", "low resolution", "fast motion", "full occlusion", "partial occlusion",
@@ -87,18 +88,19 @@ def _columns(dataset: str, folder: Path) -> tuple[str, ...]:
     names = folder / "names.txt"
     if not names.is_file():
         return NAMES[dataset]
-    given = tuple(line.strip() for line in names.read_text().splitlines() if line.strip())
+    given = tuple(line.strip() for line in read_text(names, "attribute names").splitlines() if line.strip())
     if len(set(given)) != len(given):
         raise UserError(f"{names} holds a name twice: a name a column is needed")
     return given
 
 
 def _read(path: Path, columns: int) -> list[bool]:
+    fix = f"{columns} numbers, each 0 or 1, are expected; a names.txt beside it names other columns"
+    text = read_text(path, "attributes", fix)
     try:
-        flags = [float(word) for word in path.read_text("utf-8-sig").replace(",", " ").split()]
+        flags = [float(word) for word in text.replace(",", " ").split()]
         if len(flags) != columns or not {0.0, 1.0}.issuperset(flags):
             raise ValueError(f"it holds {len(flags)} numbers")
-    except (OSError, ValueError) as error:
-        problem = f"attributes {path} cannot be read ({error}): {columns} numbers, each 0 or 1, are expected"
-        raise UserError(f"{problem}; a names.txt beside it names other columns") from None
+    except ValueError as error:
+        raise UserError(f"attributes {path} cannot be read ({error}): {fix}") from None
     return [flag == 1 for flag in flags]

@@ -10,9 +10,10 @@ from typing import Literal, NoReturn
 
 from psiamfcpp.datasets import dtb70, folder, got10k_val, otb100, uavdt, visdrone2018
 from psiamfcpp.datasets.boxes import find_files, read_boxes
-from psiamfcpp.datasets.sequence import Sequence
+from psiamfcpp.datasets.sequence import LeftOut, Sequence
 from psiamfcpp.datasets.uav123 import UAV20L, UAV123, UAV123_10FPS, Uav123
 from psiamfcpp.errors import UserError
+from psiamfcpp.files import reading
 from psiamfcpp.geometry import FloatArray
 
 BenchmarkName = Literal[
@@ -35,36 +36,65 @@ class Benchmark:
     """the expected layout, in one line"""
     labels: str
     """where in its folder the labels are: named when there are none"""
-    reader: Callable[[Path], list[Sequence]]
+    reader: Callable[[Path, LeftOut], list[Sequence]]
     """sequences of a root; an empty list where there is none"""
     label_files: Callable[[Path], dict[str, Path]]
     """label files of a root in the official layout, by sequence; empty where there is none"""
+    counted: Callable[[str, FloatArray], FloatArray] = lambda _, boxes: boxes
+    """rows that count of a sequence's labels, or of a result with a row for each frame"""
 
-    def read(self, root: Path) -> list[Sequence]:
+    def read(self, root: Path, left_out: dict[str, str] | None = None) -> list[Sequence]:
         """Every sequence with its frames.
+
+        Args:
+            root: its folder.
+            left_out: given one, sequences that cannot be read are left out, and the reasons are added by name.
 
         Raises:
             UserError: the root is missing, or its files are not as the layout says.
         """
-        self._check(root)
-        return self.reader(root) or self._refuse(root)
+        reasons: list[str] = []
+        with reading():
+            self._check(root)
+            found = self.reader(root, None if left_out is None else reasons)
+        if left_out is not None and reasons:
+            names = {sequence.name for sequence in found}
+            # readers go through the label files in order, and give one line on each that they leave out
+            left_out.update(zip((n for n in self.label_files(root) if n not in names), reasons, strict=True))
+        if not found and reasons:
+            raise UserError(f"{root} holds no sequence of {self.name} that can be read, the first: {reasons[0]}")
+        return found or self._refuse(root)
 
-    def read_labels(self, root: Path) -> dict[str, FloatArray]:
+    def read_labels(self, root: Path, left_out: dict[str, str] | None = None) -> dict[str, FloatArray]:
         """Labels ``(n, 4)`` of every sequence, without its frames, the rows as published.
 
         Args:
             root: the official layout, or a plain folder of ``<sequence>.txt``.
+            left_out: as of `read`.
 
         Raises:
             UserError: there is none, or one cannot be read or is empty.
         """
-        self._check(root)
-        files = self.label_files(root) or {path.stem: path for path in find_files(root, "*.txt")}
-        labels = {name: read_boxes(path) for name, path in files.items()}
-        empty = next((name for name, boxes in labels.items() if not len(boxes)), None)
-        if empty is not None:
-            raise UserError(f"labels {files[empty]} are empty: fetch them again")
+        with reading():
+            self._check(root)
+            files = self.label_files(root) or {path.stem: path for path in find_files(root, "*.txt")}
+        labels = {}
+        for name, path in files.items():
+            try:
+                labels[name] = self._labels(name, path)
+            except UserError as error:
+                if left_out is None:
+                    raise
+                left_out[name] = str(error)
+        if files and not labels and left_out:
+            raise UserError(next(iter(left_out.values())))
         return labels or self._refuse(root, "a plain folder of <sequence>.txt, or ")
+
+    def _labels(self, name: str, path: Path) -> FloatArray:
+        boxes = self.counted(name, read_boxes(path))
+        if not len(boxes):
+            raise UserError(f"labels {path} are empty: fetch them again")
+        return boxes
 
     def owns(self, path: Path) -> bool:
         """Whether a folder bears the name of this benchmark, in whatever spelling."""
@@ -138,6 +168,7 @@ BENCHMARKS = {
             "<sequence>/groundtruth_rect.txt",
             otb100.read,
             otb100.label_files,
+            otb100.counted,
         ),
         Benchmark(
             "got10k-val",

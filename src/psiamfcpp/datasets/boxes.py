@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from psiamfcpp.errors import UserError
-from psiamfcpp.files import write_whole
+from psiamfcpp.files import read_text, write_whole
 from psiamfcpp.geometry import FloatArray
 
 # How C libraries write NaN where Python's own spellings end: -nan(ind), 1.#QNAN, -1.#IND0.
@@ -23,10 +23,7 @@ def read_boxes(path: Path) -> FloatArray:
     Raises:
         UserError: the file is missing or a line does not hold four numbers; names the line.
     """
-    try:
-        lines = path.read_text("utf-8-sig").rstrip().splitlines()
-    except (OSError, ValueError) as error:
-        raise UserError(f"boxes {path} cannot be read ({error}): one x,y,w,h per line is expected") from None
+    lines = read_text(path, "boxes", "one x,y,w,h per line is expected").rstrip().splitlines()
     boxes = np.empty((len(lines), 4))
     for row, line in enumerate(lines):
         words = line.replace(",", " ").split()

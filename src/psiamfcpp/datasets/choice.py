@@ -2,13 +2,23 @@
 
 from __future__ import annotations
 
+import dataclasses
+import functools
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
 
 from psiamfcpp.datasets import named, read_entry
 from psiamfcpp.datasets.sequence import Sequence
 from psiamfcpp.datasets.split import split
 from psiamfcpp.errors import UserError
+from psiamfcpp.images import is_readable
+
+_NAMED = 20
 
 
 @dataclass(frozen=True)
@@ -22,6 +32,8 @@ class DataChoice:
     """each ``LAYOUT:FOLDER``"""
     held_out_every: int = 0
     """N; 0 holds out none"""
+    skip_bad: bool = False
+    """leave out what is not as a layout says, instead of refusing the whole set"""
 
     def __post_init__(self) -> None:
         """Check N.
@@ -51,10 +63,49 @@ class DataChoice:
         return self._parts[1]
 
     @property
+    def left_out(self) -> list[str]:
+        """A line on each row, image and sequence that was left out, which only ``skip_bad`` allows.
+
+        Raises:
+            UserError: a data set cannot be read.
+        """
+        return self._parts[2]
+
+    def note_left_out(self, note: Callable[[str], Any]) -> None:
+        """Say what was left out: how much, and the first of it by name.
+
+        Raises:
+            UserError: a data set cannot be read.
+        """
+        if self.left_out:
+            note(f"{len(self.left_out)} rows, images or sequences of the data are left out:")
+        for line in self.left_out[:_NAMED]:
+            note(f"  {line}")
+        if len(self.left_out) > _NAMED:
+            note(f"  and {len(self.left_out) - _NAMED} more")
+
+    @property
     def named(self) -> list[str]:
         """The data sets as a model's provenance names them: without where the folders lie."""
         return [named(entry) for entry in self.entries]
 
     @cached_property
-    def _parts(self) -> tuple[list[Sequence], list[Sequence]]:
-        return split([s for entry in self.entries for s in read_entry(entry)], self.held_out_every)
+    def _parts(self) -> tuple[list[Sequence], list[Sequence], list[str]]:
+        left_out: list[str] = []
+        bad = left_out if self.skip_bad else None
+        sequences = [s for entry in self.entries for s in read_entry(entry, bad)]
+        if self.skip_bad:
+            readable = functools.cache(is_readable)
+            sequences = [_without_bad_images(s, readable, left_out) for s in sequences]
+        return *split(sequences, self.held_out_every), list(dict.fromkeys(left_out))
+
+
+def _without_bad_images(sequence: Sequence, readable: Callable[[Path], bool], left_out: list[str]) -> Sequence:
+    """A sequence that has no box in frames whose image cannot be read."""
+    boxes = sequence.boxes.copy()
+    for row in sequence.usable():
+        frame = sequence.frames[row]
+        if isinstance(frame, Path) and not readable(frame):
+            left_out.append(f"image {frame} cannot be read")
+            boxes[row] = np.nan
+    return dataclasses.replace(sequence, boxes=boxes)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from psiamfcpp.datasets.boxes import find_files, read_boxes
-from psiamfcpp.datasets.sequence import Sequence, labelled, require
+from psiamfcpp.datasets.sequence import LeftOut, Sequence, each, labelled, require
 from psiamfcpp.images import image_files
 
 LAYOUT = "<root>/<sequence>/img/*.jpg and <root>/<sequence>/groundtruth_rect.txt (x,y,w,h a frame)"
@@ -16,13 +16,15 @@ def label_files(root: Path) -> dict[str, Path]:
     return {path.parent.name: path for path in find_files(root, "*/groundtruth_rect.txt")}
 
 
-def read(root: Path) -> list[Sequence]:
+def read(root: Path, left_out: LeftOut = None) -> list[Sequence]:
     """Every sequence, by name; zero rows, of targets out of view, stay as they are.
 
     Raises:
         UserError: a file is missing or unreadable, or the frames and boxes differ in number.
     """
-    return [
-        labelled(name, image_files(require(truth.parent / "img", LAYOUT).iterdir()), read_boxes(truth), "dtb70")
-        for name, truth in label_files(root).items()
-    ]
+
+    def one(item: tuple[str, Path]) -> Sequence:
+        name, truth = item
+        return labelled(name, image_files(require(truth.parent / "img", LAYOUT).iterdir()), read_boxes(truth), "dtb70")
+
+    return each(label_files(root).items(), one, left_out)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from psiamfcpp.datasets.boxes import find_files, read_boxes
 from psiamfcpp.datasets.frames import video_frames
-from psiamfcpp.datasets.sequence import Sequence
+from psiamfcpp.datasets.sequence import LeftOut, Sequence, each, matched
 from psiamfcpp.errors import UserError
 from psiamfcpp.images import image_files
 
@@ -31,7 +31,7 @@ def label_files(root: Path) -> dict[str, Path]:
     return files
 
 
-def read(root: Path) -> list[Sequence]:
+def read(root: Path, left_out: LeftOut = None) -> list[Sequence]:
     """Every sequence under ``root``, by name; the source is the name up to its first ``_`` or digit.
 
     Raises:
@@ -42,7 +42,7 @@ def read(root: Path) -> list[Sequence]:
         raise UserError(
             f"{root} holds no sequence: {root}/.../groundtruth_rect.txt is missing; expected layout: {LAYOUT}"
         )
-    return [_sequence(truth.parent) for truth in truths]
+    return each(truths, lambda truth: _sequence(truth.parent), left_out)
 
 
 def source_of(name: str) -> str:
@@ -55,6 +55,5 @@ def _sequence(folder: Path) -> Sequence:
     images = image_files((folder / "img").glob("*"))
     # The frames as they were taken, where both are there.
     frames = images if images or not video.exists() else video_frames(video)
-    if len(frames) != len(boxes):
-        raise UserError(f"sequence {folder} has {len(frames)} images but {len(boxes)} boxes: correct the folder")
+    matched(str(folder), frames, {"boxes": len(boxes)}, fix="correct the folder")
     return Sequence(folder.name, frames, boxes, source_of(folder.name))

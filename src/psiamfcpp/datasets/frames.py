@@ -18,6 +18,7 @@ import numpy as np
 from psiamfcpp.errors import UserError
 from psiamfcpp.geometry import Image
 from psiamfcpp.images import ImageReader, read_image
+from psiamfcpp.video.capture import check_name, open_capture, sane_count
 
 # JPEG at which another compression shows least: a frame is decoded in a third of the time that WebP takes.
 _QUALITY = 95
@@ -42,7 +43,11 @@ def video_frames(video: Path) -> list[VideoFrame]:
         UserError: the file is missing, or is no video that OpenCV can read.
     """
     with _opened(video) as capture:
-        return [VideoFrame(video, number) for number in range(int(capture.get(cv2.CAP_PROP_FRAME_COUNT)))]
+        count = sane_count(capture) or 0
+    # no frame takes less than a byte, so that a damaged header cannot promise more
+    if not 0 < count <= video.stat().st_size:
+        raise UserError(f"video {video} is damaged, its length of {count} frames cannot be true: fetch it again")
+    return [VideoFrame(video, number) for number in range(count)]
 
 
 def read_frame(frame: Frame, images: ImageReader | None = None) -> Image:
@@ -154,9 +159,11 @@ _DECODER = _Decoder()
 
 
 def _open(video: Path) -> cv2.VideoCapture:
-    if not video.exists():
-        raise UserError(f"video {video} does not exist")
-    capture = cv2.VideoCapture(str(video))
+    check_name(str(video))
+    if not video.is_file():
+        raise UserError(f"video {video} does not exist, or is no file")
+    # absolute, since FFmpeg takes what stands before a colon in a bare name for a protocol
+    capture = open_capture(str(video.absolute()), None)
     if not capture.isOpened():
         raise UserError(f"video {video} cannot be read: replace or remove it")
     return capture

@@ -11,8 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from psiamfcpp.datasets.boxes import read_boxes
-from psiamfcpp.datasets.sequence import Sequence, require
+from psiamfcpp.datasets.sequence import LeftOut, Sequence, each, matched, require
 from psiamfcpp.errors import UserError
+from psiamfcpp.files import read_text
 from psiamfcpp.images import image_files
 
 LAYOUT = (
@@ -21,21 +22,24 @@ LAYOUT = (
 )
 
 
-def read(root: Path) -> list[Sequence]:
+def read(root: Path, left_out: LeftOut = None) -> list[Sequence]:
     """Every sequence that ``list.txt`` names, in its order; no box where the target is absent or covered.
 
     Args:
         root: the folder that holds ``train`` and ``val`` (both are read), or one of these two.
+        left_out: as of `psiamfcpp.datasets.read`.
 
     Raises:
         UserError: a file is missing or unreadable, or a sequence has another number of frames than of labels.
     """
     one_split = (root / "list.txt").exists()
     splits = [root] if one_split else [root / name for name in ("train", "val") if (root / name).is_dir()]
-    folders = [s / name for s in splits for name in require(s / "list.txt", LAYOUT).read_text().split()]
+    folders = [
+        s / name for s in splits for name in read_text(require(s / "list.txt", LAYOUT), "list of sequences").split()
+    ]
     if not folders:
         raise UserError(f"{root} holds no sequence; expected layout: {LAYOUT}")
-    return [_sequence(folder) for folder in folders]
+    return each(folders, lambda folder: _sequence(folder, left_out), left_out)
 
 
 def read_labels(path: Path) -> NDArray[np.int64]:
@@ -44,20 +48,21 @@ def read_labels(path: Path) -> NDArray[np.int64]:
     Raises:
         UserError: the file cannot be read or holds something else.
     """
+    words = read_text(path, "labels", "one integer a frame is expected").replace(",", " ").split()
     try:
-        return np.array([int(v) for v in path.read_text("utf-8-sig").replace(",", " ").split()], dtype=np.int64)
-    except (OSError, ValueError) as error:
+        return np.array([int(word) for word in words], dtype=np.int64)
+    except (ValueError, OverflowError) as error:
         raise UserError(f"labels {path} cannot be read ({error}): one integer a frame is expected") from None
 
 
-def _sequence(folder: Path) -> Sequence:
+def _sequence(folder: Path, left_out: LeftOut) -> Sequence:
     boxes = read_boxes(require(folder / "groundtruth.txt", LAYOUT))
     absence = read_labels(require(folder / "absence.label", LAYOUT))
     cover = read_labels(require(folder / "cover.label", LAYOUT))
     frames = image_files(folder.iterdir())
-    if not len(frames) == len(boxes) == len(absence) == len(cover):
-        counts = f"{len(frames)} images, {len(boxes)} boxes, {len(absence)} absence, {len(cover)} cover rows"
-        raise UserError(f"sequence {folder} has {counts}: the counts must be equal, fetch it again")
+    rows = {"boxes": len(boxes), "absence rows": len(absence), "cover rows": len(cover)}
+    count = matched(str(folder), frames, rows, left_out)
+    boxes, absence, cover = boxes[:count], absence[:count], cover[:count]
     # The cover label grades the visible part from 0 to 8: at 0 the box is a guess at an unseen target.
     boxes[(absence == 1) | (cover == 0) | ~(boxes[:, 2:] > 0).all(axis=1)] = np.nan
-    return Sequence(folder.name, frames, boxes, "got10k")
+    return Sequence(folder.name, frames[:count], boxes, "got10k")

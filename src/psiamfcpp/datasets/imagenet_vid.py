@@ -11,8 +11,9 @@ from xml.etree import ElementTree
 import numpy as np
 
 from psiamfcpp.datasets.boxes import find_files
-from psiamfcpp.datasets.sequence import Sequence, require
+from psiamfcpp.datasets.sequence import LeftOut, Sequence, require, tolerated
 from psiamfcpp.errors import UserError
+from psiamfcpp.files import read_bytes
 from psiamfcpp.geometry import from_corners
 from psiamfcpp.images import image_files
 
@@ -23,7 +24,7 @@ LAYOUT = (
 CORNERS = ("xmin", "ymin", "xmax", "ymax")
 
 
-def read(root: Path) -> list[Sequence]:
+def read(root: Path, left_out: LeftOut = None) -> list[Sequence]:
     """One sequence a track of a snippet, made of the frames that show the track.
 
     Raises:
@@ -34,27 +35,31 @@ def read(root: Path) -> list[Sequence]:
     if not snippets:
         raise UserError(f"{labels} holds no snippet; expected layout: {LAYOUT}")
     data = root / "Data" / "VID"
-    return [s for snippet in snippets for s in _tracks(snippet, data / snippet.relative_to(labels))]
+    return [s for snippet in snippets for s in _tracks(snippet, data / snippet.relative_to(labels), left_out)]
 
 
-def _tracks(labels: Path, data: Path) -> list[Sequence]:
-    images = {path.stem: path for path in image_files(require(data, LAYOUT).iterdir())}
-    tracks: dict[str, list[tuple[Path, list[float]]]] = {}
-    for label in find_files(labels, "*.xml"):
-        for track, corners in _objects(label):
-            if label.stem not in images:
-                raise UserError(f"{data / label.stem}.JPEG is missing; expected layout: {LAYOUT}")
-            tracks.setdefault(track, []).append((images[label.stem], corners))
+def _tracks(labels: Path, data: Path, left_out: LeftOut) -> list[Sequence]:
+    images, tracks = dict[str, Path](), dict[str, list[tuple[Path, list[float]]]]()
+    with tolerated(left_out):
+        images = {path.stem: path for path in image_files(require(data, LAYOUT).iterdir())}
+    for label in find_files(labels, "*.xml") if images or left_out is None else ():
+        with tolerated(left_out):
+            for track, corners in _objects(label):
+                if label.stem not in images:
+                    raise UserError(f"{data / label.stem}.JPEG is missing; expected layout: {LAYOUT}")
+                tracks.setdefault(track, []).append((images[label.stem], corners))
     return [_sequence(f"{labels.name}#{track}", shown) for track, shown in tracks.items()]
 
 
 def _objects(label: Path) -> list[tuple[str, list[float]]]:
+    content = read_bytes(label, "annotation", "fetch it again", 2**24)
     try:
         return [
             (_text(item, "trackid"), [float(_text(item, f"bndbox/{key}")) for key in CORNERS])
-            for item in ElementTree.parse(label).iterfind("object")
+            for item in ElementTree.fromstring(content).iterfind("object")
         ]
-    except (ElementTree.ParseError, ValueError) as error:
+    # LookupError: an encoding that is not known
+    except (ElementTree.ParseError, ValueError, LookupError) as error:
         raise UserError(f"annotation {label} cannot be read ({error}): fetch it again") from None
 
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from psiamfcpp.datasets.boxes import find_files, read_boxes
 from psiamfcpp.datasets.got10k import read_labels
-from psiamfcpp.datasets.sequence import Sequence, require
+from psiamfcpp.datasets.sequence import LeftOut, Sequence, each, matched, require
 from psiamfcpp.errors import UserError
 from psiamfcpp.images import image_files
 
@@ -23,7 +23,7 @@ LAYOUT = (
 )
 
 
-def read(root: Path) -> list[Sequence]:
+def read(root: Path, left_out: LeftOut = None) -> list[Sequence]:
     """Every sequence, by class and number; no box where the target is fully occluded or out of view.
 
     Raises:
@@ -33,7 +33,7 @@ def read(root: Path) -> list[Sequence]:
     found = sorted((key, path) for key, path in named if key is not None)
     if not found:
         raise UserError(f"{root} holds no sequence; expected layout: {LAYOUT}")
-    return [_sequence(folder, source) for (source, _), folder in found]
+    return each(found, lambda item: _sequence(item[1], item[0][0], left_out), left_out)
 
 
 def _class_and_number(name: str) -> tuple[str, int] | None:
@@ -41,13 +41,13 @@ def _class_and_number(name: str) -> tuple[str, int] | None:
     return (match[1], int(match[2])) if match else None
 
 
-def _sequence(folder: Path, source: str) -> Sequence:
+def _sequence(folder: Path, source: str, left_out: LeftOut) -> Sequence:
     boxes = read_boxes(require(folder / "groundtruth.txt", LAYOUT))
     occluded = read_labels(require(folder / "full_occlusion.txt", LAYOUT))
     outside = read_labels(require(folder / "out_of_view.txt", LAYOUT))
     frames = image_files(require(folder / "img", LAYOUT).iterdir())
-    if not len(frames) == len(boxes) == len(occluded) == len(outside):
-        counts = f"{len(frames)} images, {len(boxes)} boxes, {len(occluded)} occlusion, {len(outside)} view flags"
-        raise UserError(f"sequence {folder} has {counts}: the counts must be equal, fetch it again")
+    rows = {"boxes": len(boxes), "occlusion flags": len(occluded), "view flags": len(outside)}
+    count = matched(str(folder), frames, rows, left_out)
+    boxes, occluded, outside = boxes[:count], occluded[:count], outside[:count]
     boxes[(occluded == 1) | (outside == 1) | ~(boxes[:, 2:] > 0).all(axis=1)] = np.nan
-    return Sequence(folder.name, frames, boxes, source)
+    return Sequence(folder.name, frames[:count], boxes, source)

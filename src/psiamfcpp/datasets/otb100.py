@@ -8,15 +8,18 @@ from __future__ import annotations
 from pathlib import Path
 
 from psiamfcpp.datasets.boxes import find_files, read_boxes
-from psiamfcpp.datasets.sequence import Sequence, require
+from psiamfcpp.datasets.sequence import LeftOut, Sequence, each, require
 from psiamfcpp.errors import UserError
+from psiamfcpp.geometry import FloatArray
 from psiamfcpp.images import image_files
 
 LAYOUT = "<root>/<sequence>/img/0001.jpg and <root>/<sequence>/groundtruth_rect.txt (or .1.txt and .2.txt)"
 
 # The number of the first labelled frame where that is not 1. The number of rows says where the labels end:
 # the folders of Diving, Football1, Freeman3 and Freeman4 hold more frames than that.
-_FIRST_FRAME = {"BlurCar1": 247, "BlurCar3": 3, "BlurCar4": 18, "David": 300}
+_FIRST_FRAME = {"BlurCar1": 247, "BlurCar3": 3, "BlurCar4": 18, "David": 300, "Tiger1": 6}
+# Rows of a label file, and how many of them at its beginning no toolkit counts.
+_UNCOUNTED = {"Tiger1": (354, 5)}
 
 
 def label_files(root: Path) -> dict[str, Path]:
@@ -30,23 +33,28 @@ def label_files(root: Path) -> dict[str, Path]:
     return files
 
 
-def read(root: Path) -> list[Sequence]:
+def counted(name: str, boxes: FloatArray) -> FloatArray:
+    """The rows ``(m, 4)`` that count of labels, or of a result, of all frames ``(n, 4)``."""
+    rows, before = _UNCOUNTED.get(name, (0, 0))
+    return boxes[before:] if len(boxes) == rows else boxes
+
+
+def read(root: Path, left_out: LeftOut = None) -> list[Sequence]:
     """Every target, by name, with the frames that its labels are of.
 
     Raises:
         UserError: a file is missing or unreadable.
     """
-    sequences = []
-    for name, truth in label_files(root).items():
-        boxes, folder = read_boxes(truth), require(truth.parent / "img", LAYOUT)
-        by_number = {int(path.stem): path for path in image_files(folder.iterdir()) if path.stem.isdecimal()}
-        first = _FIRST_FRAME.get(truth.parent.name, 1)
-        numbers = range(first, first + len(boxes))
-        lacking = next((n for n in numbers if n not in by_number), None)
-        if lacking is not None:
-            problem = (
-                f"sequence {name} has {len(boxes)} boxes, from frame {first} on, but {folder} has no frame {lacking}"
-            )
-            raise UserError(f"{problem}: fetch it again")
-        sequences.append(Sequence(name, [by_number[n] for n in numbers], boxes, "otb100"))
-    return sequences
+    return each(label_files(root).items(), lambda item: _sequence(*item), left_out)
+
+
+def _sequence(name: str, truth: Path) -> Sequence:
+    boxes, folder = counted(name, read_boxes(truth)), require(truth.parent / "img", LAYOUT)
+    by_number = {int(path.stem): path for path in image_files(folder.iterdir()) if path.stem.isdecimal()}
+    first = _FIRST_FRAME.get(truth.parent.name, 1)
+    numbers = range(first, first + len(boxes))
+    lacking = next((n for n in numbers if n not in by_number), None)
+    if lacking is not None:
+        problem = f"sequence {name} has {len(boxes)} boxes, from frame {first} on, but {folder} has no frame {lacking}"
+        raise UserError(f"{problem}: fetch it again")
+    return Sequence(name, [by_number[n] for n in numbers], boxes, "otb100")

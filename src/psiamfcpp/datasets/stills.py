@@ -2,32 +2,34 @@
 
 from __future__ import annotations
 
-import csv
 from pathlib import Path
 
 import numpy as np
 
-from psiamfcpp.datasets.sequence import Sequence, require
+from psiamfcpp.datasets.sequence import LeftOut, Present, Sequence, require, tolerated
 from psiamfcpp.errors import UserError
+from psiamfcpp.files import read_table
 
 LAYOUT = "<root>/images/* and <root>/boxes.csv with the columns image,x,y,w,h,label,source"
 
 
-def read(root: Path) -> list[Sequence]:
+def read(root: Path, left_out: LeftOut = None) -> list[Sequence]:
     """One single-frame sequence an object.
 
     Raises:
-        UserError: ``boxes.csv`` is missing, lacks a column, or holds something that is not a number.
+        UserError: ``boxes.csv`` is missing, lacks a column, or holds something that is not a number; an image is
+            missing.
     """
     table = require(root / "boxes.csv", LAYOUT)
+    present = Present(root / "images")
     objects = []
-    with table.open(newline="") as file:
-        for line, row in enumerate(csv.DictReader(file), start=2):
+    for line, row in read_table(table, "table", f"expected {LAYOUT}"):
+        with tolerated(left_out):
             try:
                 box = np.array([[float(row[key]) for key in "xywh"]])
                 image, source = row["image"], row["source"]
-            except (KeyError, TypeError, ValueError) as error:
+            except (KeyError, ValueError) as error:
                 problem = f"{table} line {line} is not a labelled box ({error})"
                 raise UserError(f"{problem}; expected {LAYOUT}") from None
-            objects.append(Sequence(f"{image}#{line}", [root / "images" / image], box, source))
+            objects.append(Sequence(f"{image}#{line}", [present.find(image, f"{table} line {line}")], box, source))
     return objects

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from psiamfcpp.datasets.boxes import find_files, read_boxes
-from psiamfcpp.datasets.sequence import Sequence, require
+from psiamfcpp.datasets.sequence import LeftOut, Sequence, each, matched, require
 from psiamfcpp.errors import UserError
 from psiamfcpp.images import image_files
 
@@ -20,11 +20,12 @@ LAYOUT = (
 )
 
 
-def read(root: Path) -> list[Sequence]:
+def read(root: Path, left_out: LeftOut = None) -> list[Sequence]:
     """Every sequence of every chunk, by name within its chunk.
 
     Args:
         root: the folder that holds the chunks, all or some of them, or one chunk.
+        left_out: as of `psiamfcpp.datasets.read`.
 
     Raises:
         UserError: there is none, a file is missing or unreadable, or the frames and boxes differ in number.
@@ -33,17 +34,17 @@ def read(root: Path) -> list[Sequence]:
     truths = [truth for chunk in chunks for truth in find_files(require(chunk / "anno", LAYOUT), "*.txt")]
     if not truths:
         raise UserError(f"{root} holds no sequence; expected layout: {LAYOUT}")
-    return [_sequence(truth) for truth in truths]
+    return each(truths, lambda truth: _sequence(truth, left_out), left_out)
 
 
-def _sequence(truth: Path) -> Sequence:
+def _sequence(truth: Path, left_out: LeftOut) -> Sequence:
     boxes = read_boxes(truth)
     folder = require(truth.parent.parent / "frames" / truth.stem, LAYOUT)
     frames = sorted(image_files(folder.iterdir()), key=_number)
-    if len(frames) != len(boxes):
-        raise UserError(f"sequence {folder} has {len(frames)} images but {len(boxes)} boxes: fetch it again")
+    count = matched(str(folder), frames, {"boxes": len(boxes)}, left_out)
+    boxes = boxes[:count]
     boxes[~(boxes[:, 2:] > 0).all(axis=1)] = np.nan
-    return Sequence(truth.stem, frames, boxes, "trackingnet")
+    return Sequence(truth.stem, frames[:count], boxes, "trackingnet")
 
 
 def _number(frame: Path) -> int:

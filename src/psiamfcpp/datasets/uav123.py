@@ -14,8 +14,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from psiamfcpp.datasets.boxes import find_files, read_boxes
-from psiamfcpp.datasets.sequence import Sequence, labelled, require
+from psiamfcpp.datasets.sequence import LeftOut, Sequence, each, labelled, require
 from psiamfcpp.errors import UserError
+from psiamfcpp.files import read_bytes
 
 _RANGES_10FPS = Path(__file__).parent / "tables" / "uav123_10fps_ranges.csv"
 # One sequence in configSeqs.m; its path may be joined from a variable and a quoted end.
@@ -52,7 +53,7 @@ class Uav123:
         """The label file of each sequence, by name."""
         return {path.stem: path for path in find_files(root / "anno" / self.labels, "*.txt")}
 
-    def read(self, root: Path) -> list[Sequence]:
+    def read(self, root: Path, left_out: LeftOut = None) -> list[Sequence]:
         """Every sequence, by name.
 
         Raises:
@@ -63,8 +64,9 @@ class Uav123:
         ranges = self._ranges(root)
         # Parts of one video share its folder: list it once.
         present = functools.cache(lambda folder: {p.name for p in require(folder, self.layout).glob("[!.]*.jpg")})
-        sequences = []
-        for name, truth in files.items():
+
+        def one(item: tuple[str, Path]) -> Sequence:
+            name, truth = item
             boxes = read_boxes(truth)
             own = len(present(folders / name)) if (folders / name).is_dir() else 0
             part = _choose(name, len(boxes), ranges.get(name, []), own)
@@ -73,8 +75,9 @@ class Uav123:
             lacking = next((frame for frame in frames if frame.name not in present(folder)), None)
             if lacking is not None:
                 raise UserError(f"{lacking} is missing; expected layout: {self.layout}")
-            sequences.append(labelled(name, frames, boxes, self.name))
-        return sequences
+            return labelled(name, frames, boxes, self.name)
+
+        return each(files.items(), one, left_out)
 
     def _ranges(self, root: Path) -> dict[str, list[_Range]]:
         """What the frames of each sequence may be."""
@@ -125,7 +128,8 @@ def _published_ranges(root: Path, frames: str) -> dict[str, list[_Range]]:
     ranges: dict[str, list[_Range]] = {}
     for path in sorted([*root.glob("configSeqs.m"), *root.glob("*/configSeqs.m")])[:1]:
         # The comments of MATLAB users are seldom UTF-8.
-        for found in _STRUCT.finditer(path.read_text(encoding="latin-1")):
+        # the comments of MATLAB users are seldom UTF-8
+        for found in _STRUCT.finditer(read_bytes(path, "configuration", "fetch it again", 2**24).decode("latin-1")):
             *above, folder = re.split(r"[\\/]+", found["path"].strip("\\/"))
             if not above or above[-1] == frames:
                 part = _Range(folder, int(found["first"]), int(found["last"]))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from psiamfcpp.datasets.boxes import find_files, read_boxes
-from psiamfcpp.datasets.sequence import Sequence, labelled, require
+from psiamfcpp.datasets.sequence import LeftOut, Sequence, each, labelled, require
 from psiamfcpp.images import image_files
 
 LAYOUT = "<root>/sequences/<sequence>/img000001.jpg and <root>/anno/<sequence>_gt.txt (x,y,w,h a frame)"
@@ -18,13 +18,16 @@ def label_files(root: Path) -> dict[str, Path]:
     return {path.name.removesuffix("_gt.txt"): path for path in find_files(folder, "*_gt.txt")}
 
 
-def read(root: Path) -> list[Sequence]:
+def read(root: Path, left_out: LeftOut = None) -> list[Sequence]:
     """Every sequence, by name.
 
     Raises:
         UserError: a file is missing or unreadable, or the frames and boxes differ in number.
     """
-    return [
-        labelled(name, image_files(require(root / "sequences" / name, LAYOUT).iterdir()), read_boxes(truth), "uavdt")
-        for name, truth in label_files(root).items()
-    ]
+
+    def one(item: tuple[str, Path]) -> Sequence:
+        name, truth = item
+        frames = require(root / "sequences" / name, LAYOUT)
+        return labelled(name, image_files(frames.iterdir()), read_boxes(truth), "uavdt")
+
+    return each(label_files(root).items(), one, left_out)

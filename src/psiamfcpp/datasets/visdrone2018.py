@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from psiamfcpp.datasets.boxes import find_files, read_boxes
-from psiamfcpp.datasets.sequence import Sequence, labelled, require
+from psiamfcpp.datasets.sequence import LeftOut, Sequence, each, labelled, require
 from psiamfcpp.images import image_files
 
 LAYOUT = "<root>/sequences/<sequence>/img0000001.jpg and <root>/annotations/<sequence>.txt (x,y,w,h a frame)"
@@ -16,15 +16,16 @@ def label_files(root: Path) -> dict[str, Path]:
     return {path.stem: path for path in find_files(root / "annotations", "*.txt")}
 
 
-def read(root: Path) -> list[Sequence]:
+def read(root: Path, left_out: LeftOut = None) -> list[Sequence]:
     """Every sequence, by name.
 
     Raises:
         UserError: a file is missing or unreadable, or the frames and boxes differ in number.
     """
-    return [
-        labelled(
-            name, image_files(require(root / "sequences" / name, LAYOUT).iterdir()), read_boxes(truth), "visdrone2018"
-        )
-        for name, truth in label_files(root).items()
-    ]
+
+    def one(item: tuple[str, Path]) -> Sequence:
+        name, truth = item
+        frames = require(root / "sequences" / name, LAYOUT)
+        return labelled(name, image_files(frames.iterdir()), read_boxes(truth), "visdrone2018")
+
+    return each(label_files(root).items(), one, left_out)

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import functools
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from psiamfcpp.datasets import BENCHMARKS
+from psiamfcpp.errors import UserError
 from psiamfcpp.evaluation.metrics import Convention, Scores, mean_scores
-from psiamfcpp.evaluation.results import Files, Speed, count_missing, read_speed, score_results
+from psiamfcpp.evaluation.results import Files, Speed, read_result, read_speed, score_results, without_result
 from psiamfcpp.evaluation.running import CONDITIONS, read_run
 from psiamfcpp.geometry import FloatArray
 
@@ -25,12 +28,25 @@ class Measured:
     mean: dict[Convention, Scores]
     figures: dict[Convention, dict[str, dict[str, float]]]
     """by convention and sequence"""
-    missing: int
-    """sequences without a result"""
+    left_out: dict[str, str]
+    """why sequences do not count, by name: no result, or one that does not fit"""
     speed: Speed | None
     run: dict[str, Any] | None
     """what `psiamfcpp.evaluation.running` noted of the run; None for boxes of other origin"""
     files: Files
+
+    @property
+    def missing(self) -> int:
+        """Number of sequences that do not count."""
+        return len(self.left_out)
+
+    def boxes(self, sequence: str, rows: int) -> FloatArray:
+        """Return the boxes ``(rows, 4)`` of a sequence.
+
+        Raises:
+            UserError: as of `read_result`.
+        """
+        return read_result(self.files[sequence], rows, functools.partial(BENCHMARKS[self.dataset].counted, sequence))
 
     @property
     def source(self) -> str:
@@ -53,6 +69,7 @@ class Measured:
             "invalid_rows": mean.invalid,
             "sequences": self.figures[convention],
             "missing_sequences": self.missing,
+            "left_out": self.left_out,
             "fps": speed.median if speed else None,
             "fps_mean": speed.mean if speed else None,
             **({key: self.run[key] for key in CONDITIONS} if self.run else {}),
@@ -66,6 +83,7 @@ def measure(
     labels: dict[str, FloatArray],
     conventions: Sequence[Convention] = CONVENTIONS,
     allow_missing: bool = False,
+    unread: Mapping[str, str] | None = None,
 ) -> Measured:
     """Score a tracker's result files.
 
@@ -75,20 +93,26 @@ def measure(
         files: result files by sequence, at least one.
         labels: ``(n, 4)`` by sequence.
         conventions: what rows without a valid label count for.
-        allow_missing: score the sequences that have a result.
+        allow_missing: score the sequences that have a result that fits.
+        unread: why sequences have no labels, by name.
 
     Raises:
-        UserError: a sequence has no result without ``allow_missing``, or a result cannot be scored.
+        UserError: without ``allow_missing`` a sequence has no result, or one that cannot be scored; or none can be.
     """
-    missing = count_missing(tracker, files, labels, allow_missing)
-    scores = score_results(labels, files, list(conventions))
+    left_out = {**(unread or {}), **without_result(tracker, files, labels, allow_missing)}
+    counted = BENCHMARKS[dataset].counted
+    scores = score_results(labels, files, list(conventions), counted, left_out if allow_missing else None)
+    files = {name: path for name, path in files.items() if name not in left_out}
+    if not files:
+        first = next(reason for reason in left_out.values() if reason != "no result")
+        raise UserError(f"tracker {tracker} has no result that fits, the first: {first}")
     return Measured(
         tracker,
         dataset,
         sum(map(len, labels.values())),
         {kind: mean_scores(by_name.values()) for kind, by_name in scores.items()},
         {kind: {name: s.figures for name, s in by_name.items()} for kind, by_name in scores.items()},
-        missing,
+        left_out,
         read_speed(files),
         read_run(next(iter(files.values())).parent),
         files,

@@ -9,21 +9,24 @@ A folder of results holds one tracker's sequences, or a folder a tracker. A sequ
 
 from __future__ import annotations
 
+import functools
 import re
-from collections.abc import Collection, Iterable
+from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from psiamfcpp.datasets.boxes import read_boxes
 from psiamfcpp.errors import UserError
+from psiamfcpp.evaluation.matlab import read_variable
 from psiamfcpp.evaluation.metrics import Convention, Scores, score_sequence
+from psiamfcpp.files import read_bytes, read_text
 from psiamfcpp.geometry import FloatArray
 
 Files = dict[str, Path]
 """result files by sequence"""
+Counted = Callable[[FloatArray], FloatArray]
 
 
 def find(folder: Path, dataset: Collection[str], sequences: Iterable[str]) -> dict[str, Files]:
@@ -72,8 +75,8 @@ def find_all(folders: Iterable[Path], dataset: Collection[str], sequences: Colle
     return trackers
 
 
-def count_missing(tracker: str, files: Files, sequences: Collection[str], allow: bool) -> int:
-    """How many sequences a tracker has no result of.
+def without_result(tracker: str, files: Files, sequences: Collection[str], allow: bool) -> dict[str, str]:
+    """Return why sequences do not count, by name: those that a tracker has no result of.
 
     Raises:
         UserError: it lacks one, and that is not allowed; names the first.
@@ -84,7 +87,7 @@ def count_missing(tracker: str, files: Files, sequences: Collection[str], allow:
             f"tracker {tracker} lacks {len(missing)} of {len(sequences)} sequences, the first is {missing[0]}: "
             "add its result, or give --allow-missing"
         )
-    return len(missing)
+    return dict.fromkeys(missing, "no result")
 
 
 @dataclass(frozen=True)
@@ -127,19 +130,25 @@ def read_times(path: Path) -> FloatArray:
     Raises:
         UserError: the file is missing, or a line holds no number.
     """
+    lines = read_text(path, "times", "run the tracker again").splitlines()
     try:
-        return np.array([float(line.replace(",", " ").split()[0]) for line in path.read_text("utf-8-sig").splitlines()])
-    except (OSError, ValueError, IndexError) as error:
+        return np.array([float(line.replace(",", " ").split()[0]) for line in lines])
+    except (ValueError, IndexError) as error:
         raise UserError(f"times {path} cannot be read ({error}): run the tracker again") from None
 
 
-def read_result(path: Path, rows: int) -> FloatArray:
+def read_result(path: Path, rows: int, counted: Counted = lambda boxes: boxes) -> FloatArray:
     """Boxes ``(rows, 4)`` of a result file; those that are NaN or have no area stay so.
+
+    Args:
+        path: the file.
+        rows: number of labels.
+        counted: gives the rows that count of a result with a row for each frame, see `Benchmark.counted`.
 
     Raises:
         UserError: the file cannot be read, holds anything but four numbers a row, or has another number of rows.
     """
-    boxes = _read_mat(path) if path.suffix == ".mat" else read_boxes(path)
+    boxes = counted(_read_mat(path) if path.suffix == ".mat" else read_boxes(path))
     if len(boxes) != rows:
         problem = f"results {path} have {len(boxes)} rows, but {rows} are needed, one a label"
         raise UserError(f"{problem}: run the tracker again, or fetch the file again")
@@ -147,7 +156,11 @@ def read_result(path: Path, rows: int) -> FloatArray:
 
 
 def score_results(
-    labels: dict[str, FloatArray], files: Files, conventions: Collection[Convention]
+    labels: dict[str, FloatArray],
+    files: Files,
+    conventions: Collection[Convention],
+    counted: Callable[[str, FloatArray], FloatArray] = lambda _, boxes: boxes,
+    left_out: dict[str, str] | None = None,
 ) -> dict[Convention, dict[str, Scores]]:
     """Scores by convention and sequence, in the order of the labels; sequences without a file are left out.
 
@@ -155,20 +168,34 @@ def score_results(
         labels: ``(n, 4)`` by sequence.
         files: the tracker's result files.
         conventions: those to follow.
+        counted: see `Benchmark.counted`.
+        left_out: given one, sequences that cannot be scored are left out too, and the reasons are added by name.
 
     Raises:
         UserError: a result is as `read_result` says, or a sequence has no label that counts.
     """
     scores: dict[Convention, dict[str, Scores]] = {kind: {} for kind in conventions}
     for name, truth in labels.items():
-        if name in files:
-            boxes = read_result(files[name], len(truth))
+        if name not in files:
+            continue
+        try:
+            boxes = read_result(files[name], len(truth), functools.partial(counted, name))
+            found = {kind: _scored(name, truth, boxes, kind) for kind in conventions}
+        except UserError as error:
+            if left_out is None:
+                raise
+            left_out[name] = str(error)
+        else:
             for kind, by_name in scores.items():
-                try:
-                    by_name[name] = score_sequence(truth, boxes, kind)
-                except UserError as error:
-                    raise UserError(f"sequence {name}: {error}") from None
+                by_name[name] = found[kind]
     return scores
+
+
+def _scored(name: str, truth: FloatArray, boxes: FloatArray, kind: Convention) -> Scores:
+    try:
+        return score_sequence(truth, boxes, kind)
+    except UserError as error:
+        raise UserError(f"sequence {name}: {error}") from None
 
 
 def _trackers(folder: Path, name: str, names: dict[str, str]) -> dict[str, Files]:
@@ -211,23 +238,17 @@ def _with_dataset(folder: Path, dataset: Collection[str]) -> list[Path]:
 
 def _read_mat(path: Path) -> FloatArray:
     """The field ``res`` of the variable ``results``, a struct or a cell that holds one."""
+    content = read_bytes(path, "results", "fetch the file again", 2**28)
     try:
-        from scipy.io import loadmat
-    except ImportError:
-        raise UserError(f"results {path} are a .mat file, which SciPy reads: pip install scipy") from None
-    try:
-        value: Any = loadmat(path, struct_as_record=False)["results"]
-        while isinstance(value, np.ndarray):
-            value = value.flat[0]
-        if getattr(value, "type", np.array(["rect"])).tolist() != ["rect"]:
+        value = read_variable(content, "results")
+        boxes = value.get("res") if isinstance(value, dict) else None
+        if isinstance(value, dict) and value.get("type", "rect") != "rect":
             raise ValueError("its boxes are not of type 'rect'")
-        boxes = np.asarray(value.res, np.float64)
-        if boxes.ndim != 2 or boxes.shape[1] != 4:
-            raise ValueError(f"its field res has shape {boxes.shape}")
-    # A file that is cut, or none of MATLAB's, makes SciPy fail in many ways.
-    except Exception as error:
-        problem = f"results {path} cannot be read ({type(error).__name__}: {error})"
+        if not isinstance(boxes, np.ndarray) or boxes.ndim != 2 or boxes.shape[1] != 4:
+            raise ValueError(f"its field res has shape {getattr(boxes, 'shape', None)}")
+    except ValueError as error:
         raise UserError(
-            f"{problem}: a variable results with a field res, x,y,w,h a row, saved as -v7, is expected"
+            f"results {path} cannot be read ({error}): a variable results with a field res, x,y,w,h a row, "
+            "saved as -v7, is expected"
         ) from None
-    return boxes
+    return boxes.astype(np.float64)

@@ -23,7 +23,7 @@ from psiamfcpp.datasets.boxes import find_files, read_boxes, write_boxes
 from psiamfcpp.errors import UserError
 from psiamfcpp.evaluation.ope import first_label, one_pass
 from psiamfcpp.evaluation.results import Files, read_times
-from psiamfcpp.files import write_whole
+from psiamfcpp.files import read_json, write_whole
 from psiamfcpp.machine import processor_name
 from psiamfcpp.trackers import Tracker, TrackerChoice
 from psiamfcpp.version import __version__
@@ -33,6 +33,17 @@ RUN_FILE = "run.json"
 CONDITIONS = ("threads", "jobs", "processor")
 """what measured speeds depend on"""
 _FORMAT = "psiamfcpp-run/1"
+# What each entry may be.
+_RUN: dict[str, tuple[type, ...]] = {
+    "format": (str,),
+    "tracker": (str,),
+    "dataset": (str,),
+    "root": (str,),
+    "identity": (dict,),
+    "threads": (int, type(None)),
+    "jobs": (int,),
+    "processor": (str,),
+}
 
 
 @dataclass(frozen=True)
@@ -120,13 +131,13 @@ def read_run(folder: Path) -> dict[str, Any] | None:
     path = folder / RUN_FILE
     if not path.exists():
         return None
-    try:
-        found: dict[str, Any] = json.loads(path.read_text())
-        if found["format"] != _FORMAT:
-            raise ValueError(f"its format is {found['format']!r}, not {_FORMAT!r}")
-        return {key: found[key] for key in ("tracker", "dataset", "root", "identity", *CONDITIONS)}
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise UserError(f"{path} is damaged ({error}): remove its folder and run the tracker again") from None
+    fix = "remove its folder and run the tracker again"
+    found = read_json(path, "run", fix)
+    told = found if isinstance(found, dict) else {}
+    wrong = [key for key, kinds in _RUN.items() if key not in told or type(told[key]) not in kinds]
+    if wrong or found["format"] != _FORMAT:
+        raise UserError(f"run {path} is damaged, or of another version ({', '.join(wrong) or 'format'}): {fix}")
+    return {key: found[key] for key in _RUN if key != "format"}
 
 
 def _one_by_one(pending: list[Job]) -> Iterator[str | None]:

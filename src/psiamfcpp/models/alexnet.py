@@ -5,11 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 
 import torch
-from safetensors import SafetensorError, safe_open
+from safetensors import safe_open
 from safetensors.torch import load_file
 from torch import Tensor
 
 from psiamfcpp.errors import UserError
+from psiamfcpp.files import check_file
 from psiamfcpp.models.network import SiamFCpp
 
 # torchvision's preprocessing: RGB in 0..1, minus mean, over standard deviation.
@@ -28,10 +29,11 @@ def is_alexnet(path: Path) -> bool:
     Raises:
         UserError: the file cannot be read.
     """
+    check_file(path, "weights", "give a .safetensors file")
     try:
         with safe_open(str(path), framework="pt") as file:
             return "features.0.weight" in file.keys()  # noqa: SIM118 - not a dict
-    except (SafetensorError, OSError) as error:
+    except Exception as error:  # a damaged file can fail in any way
         raise UserError(f"weights {path} cannot be read ({error}): give a .safetensors file") from None
 
 
@@ -53,7 +55,7 @@ def init_backbone(model: SiamFCpp, path: Path, seed: int = 0) -> None:
     """
     try:
         weights = load_file(str(path))
-    except (SafetensorError, OSError) as error:
+    except Exception as error:  # a damaged file can fail in any way
         raise UserError(f"AlexNet weights {path} cannot be read: {error}") from None
     generator = torch.Generator().manual_seed(seed)
     inputs, sources, shares = 3, torch.arange(3), torch.ones(3)
@@ -69,7 +71,9 @@ def init_backbone(model: SiamFCpp, path: Path, seed: int = 0) -> None:
                 f"{name} of {path} is {tuple(weight.shape)} with {bias.numel()} biases: expected {expected}, "
                 f"of at most {block.conv.out_channels} filters"
             )
-        inputs = published
+        if not all(value.is_floating_point() and torch.isfinite(value.float()).all() for value in (weight, bias)):
+            raise UserError(f"{name} of {path} holds values that are no finite numbers: fetch the file again")
+        weight, bias, inputs = weight.float(), bias.float(), published
         if name == "conv1":
             weight, bias = _fold_preprocessing(weight, bias)
         weight = weight[:, sources] * shares[None, :, None, None]

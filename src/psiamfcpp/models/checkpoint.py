@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 
 import safetensors.torch
 import torch
-from safetensors import SafetensorError, safe_open
+from safetensors import safe_open
 from torch import Tensor
 
 from psiamfcpp.errors import UserError
-from psiamfcpp.files import write_whole
+from psiamfcpp.files import check_file, write_whole
 from psiamfcpp.models.arch import opened
 from psiamfcpp.models.network import Network
 from psiamfcpp.spec import ModelSpec
 from psiamfcpp.zoo import weights_path
+
+# Of tensors that do not fit, so many are named.
+_NAMED = 30
 
 
 def load(path_or_name: str | Path) -> Network:
@@ -37,21 +41,26 @@ def build(spec: ModelSpec) -> Network:
 
 
 def read(path: Path) -> tuple[ModelSpec, dict[str, Tensor]]:
-    """The spec and the tensors of a checkpoint, as stored.
+    """The spec and the tensors of a checkpoint, as stored; the header is compared with the spec before any is read.
 
     Raises:
-        UserError: the file is not a checkpoint of ours.
+        UserError: the file is not a checkpoint of ours, or its tensors are not those that its spec states.
     """
+    check_file(path, "checkpoint")
     try:
         with safe_open(str(path), framework="pt") as file:
             metadata = file.metadata() or {}
             if "psiamfcpp" not in metadata:
                 raise UserError(f"{path} does not describe a psiamfcpp model: was it made by another program?")
-            return ModelSpec.from_json(metadata["psiamfcpp"]), {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118 - not a dict
-    except (SafetensorError, OSError) as error:
-        raise UserError(f"checkpoint {path} cannot be read ({error}): the file is damaged or no safetensors") from None
+            spec = ModelSpec.from_json(metadata["psiamfcpp"])
+            shapes = {key: tuple(file.get_slice(key).get_shape()) for key in file.keys()}  # noqa: SIM118 - not a dict
+            with torch.device("meta"):
+                _check_shapes(build(spec).state_dict(), shapes, str(path))
+            return spec, {key: file.get_tensor(key) for key in shapes}
     except UserError as error:
         raise error if str(path) in str(error) else UserError(f"checkpoint {path}: {error}") from None
+    except Exception as error:  # a damaged file can fail in any way
+        raise UserError(f"checkpoint {path} cannot be read ({error}): the file is damaged or no safetensors") from None
 
 
 def save(path: Path, model: Network, dtype: torch.dtype = torch.float32) -> None:
@@ -78,24 +87,36 @@ def fit(model: Network, weights: dict[str, Tensor], origin: str) -> None:
         UserError: lists the names that are missing, extra or of another shape.
     """
     own = model.state_dict()
-    missing = sorted(k for k in own if k not in weights and not k.endswith("num_batches_tracked"))
-    extra = sorted(k for k in weights if k not in own)
-    shapes = sorted(
-        f"{k} {tuple(weights[k].shape)} instead of {tuple(own[k].shape)}"
-        for k in own
-        if k in weights and weights[k].shape != own[k].shape
-    )
+    _check_shapes(own, {name: tuple(value.shape) for name, value in weights.items()}, origin)
+    plain = (k for k, v in weights.items() if v.layout == torch.strided and v.device.type == "cpu")
+    alike = {k for k in plain if weights[k].is_floating_point() == own[k].is_floating_point()}
+    if odd := sorted(weights.keys() - alike):
+        raise UserError(f"{origin} holds no plain numbers in {_listed(odd)}: the file is damaged")
+    bad = sorted(k for k, v in weights.items() if not torch.isfinite(v.float()).all())
+    if bad:
+        raise UserError(f"{origin} holds values that are not finite in {_listed(bad)}: the file is damaged")
+    model.load_state_dict({**own, **{k: v.to(own[k].dtype) for k, v in weights.items()}})
+
+
+def _check_shapes(own: Mapping[str, Tensor], shapes: Mapping[str, tuple[int, ...]], origin: str) -> None:
+    """Raise unless the shapes of a file's tensors are those of a network's; see `fit`."""
+    missing = [k for k in own if k not in shapes and not k.endswith("num_batches_tracked")]
+    extra = [k for k in shapes if k not in own]
+    wrong = [
+        f"{k} {shapes[k]} instead of {tuple(own[k].shape)}" for k in own if k in shapes and shapes[k] != own[k].shape
+    ]
     faults = [
-        f"{what} {', '.join(names)}"
-        for what, names in (("missing:", missing), ("extra:", extra), ("of another shape:", shapes))
+        f"{what} {_listed(sorted(names))}"
+        for what, names in (("missing:", missing), ("extra:", extra), ("of another shape:", wrong))
         if names
     ]
     if faults:
         raise UserError(f"{origin} does not fit the network; {'; '.join(faults)}")
-    bad = sorted(k for k, v in weights.items() if not torch.isfinite(v.float()).all())
-    if bad:
-        raise UserError(f"{origin} holds values that are not finite in {', '.join(bad)}: the file is damaged")
-    model.load_state_dict({**own, **{k: v.to(own[k].dtype) for k, v in weights.items()}})
+
+
+def _listed(names: list[str]) -> str:
+    more = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
+    return ", ".join(name[:100] for name in names[:_NAMED]) + more
 
 
 def _as_stored(value: Tensor, dtype: torch.dtype) -> Tensor:

@@ -15,6 +15,7 @@ from onnx import numpy_helper
 from torch import Tensor
 
 from psiamfcpp.errors import UserError
+from psiamfcpp.files import read_bytes
 from psiamfcpp.models.arch import OPERATIONS, Layer, architecture
 from psiamfcpp.models.lightfc import MEAN, STD, LightFC
 from psiamfcpp.spec import ModelSpec
@@ -99,12 +100,13 @@ def _next(found: Iterator[Convolution], path: Path, row: Layer) -> Convolution:
 
 def _convolutions(path: Path) -> list[Convolution]:
     """Attributes, weights and biases of a graph's convolutions, in float32 and in the order in which they run."""
+    content = read_bytes(path, "graph", "give the two graphs of LightFC", 2**30)
     try:
-        graph = onnx.load(str(path)).graph
+        graph = onnx.load_from_string(content).graph
+        values = {tensor.name: numpy_helper.to_array(tensor) for tensor in graph.initializer}
     except Exception as error:  # protobuf's errors have no common base of their own
         reason = (str(error) or type(error).__name__).splitlines()[0][:120]
         raise UserError(f"{path} cannot be read as ONNX ({reason})") from None
-    values = {tensor.name: numpy_helper.to_array(tensor) for tensor in graph.initializer}
     found = []
     for node in graph.node:
         if node.op_type == "Cast" and node.input[0] in values:

@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 from psiamfcpp.errors import UserError
+from psiamfcpp.files import check_file
 from psiamfcpp.models.checkpoint import fit
 from psiamfcpp.models.network import SiamFCpp
 
@@ -38,8 +39,7 @@ def import_official(path: Path) -> SiamFCpp:
     Raises:
         UserError: no such file, not such a checkpoint, or weights missing, extra or of another shape (they are named).
     """
-    if not path.is_file():
-        raise UserError(f"checkpoint {path} does not exist")
+    check_file(path, "checkpoint", "give the official .pkl or .pth file")
     try:
         with warnings.catch_warnings():
             # torch warns of pickle protocols that it then reads none the less.

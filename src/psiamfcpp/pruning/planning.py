@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -27,11 +28,11 @@ class Plan:
         for name, filters in self.keep.items():
             if not len(filters):
                 raise UserError(f"the plan prunes {name} to zero: every group must keep at least one filter")
-            bad = next((f for f in filters if not isinstance(f, int) or isinstance(f, bool) or f < 0), None)
-            if bad is not None:
-                raise UserError(f"the plan keeps filter {bad!r} of {name}: filters are numbered 0, 1, 2 ...")
+            bad = [f for f in filters if not isinstance(f, int) or isinstance(f, bool) or f < 0]
+            if bad:
+                raise UserError(f"the plan keeps filter {bad[0]!r} of {name}: filters are numbered 0, 1, 2 ...")
             if len(set(filters)) < len(filters):
-                twice = next(f for f in filters if filters.count(f) > 1)
+                twice = next(f for f, count in Counter(filters).items() if count > 1)
                 raise UserError(f"the plan keeps filter {twice} of {name} twice: name each filter once")
         object.__setattr__(self, "keep", {name: sorted(filters) for name, filters in self.keep.items()})
 

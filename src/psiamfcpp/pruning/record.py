@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-import zipfile
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from psiamfcpp.errors import UserError
-from psiamfcpp.files import whole
+from psiamfcpp.files import check_file, whole
 from psiamfcpp.geometry import FloatArray
 from psiamfcpp.pruning.ranking import Looked
 
+_MOST_BYTES = 2**31
 # Numbers of images after which the stability of the order is stated; halves of each are compared.
 _STEPS = (10, 20, 50, 100, 200, 500, 1000, 2000, 5000, 10000)
 
@@ -45,14 +45,17 @@ def load_looks(path: Path, key: str) -> list[dict[str, Looked]]:
     """
     if not path.exists():
         return []
+    check_file(path, "ranks", "remove it to begin anew")
     try:
         with np.load(path, allow_pickle=False) as file:
+            if sum(entry.file_size for entry in file.zip.infolist()) > _MOST_BYTES:
+                raise ValueError(f"it grows beyond {_MOST_BYTES:,} bytes")
             arrays = dict(file)
         names = [name.removesuffix("/sizes") for name in arrays if name.endswith("/sizes")]
         sizes = {name: tuple(int(v) for v in arrays[f"{name}/sizes"]) for name in names}
         batch = {name: Looked(tuple(arrays[f"{name}/{k}"] for k in range(len(s))), s) for name, s in sizes.items()}
         found = str(arrays["key"])
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
+    except Exception as error:  # a damaged archive can fail in any way
         raise UserError(f"{path} cannot be read ({error}): remove it to begin anew") from None
     if found != key:
         raise UserError(f"{path} is of another model, other data or another seed: remove it, or choose another output")

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from psiamfcpp import files
 from psiamfcpp.errors import UserError
-from psiamfcpp.files import write_whole
 from psiamfcpp.geometry import FloatArray
 
 FORMAT = "psiamfcpp-ranks/1"
@@ -123,12 +123,7 @@ def read_json(path: Path, form: str, what: str) -> dict[str, Any]:
     Raises:
         UserError: the file is missing, damaged or of another format.
     """
-    try:
-        data = json.loads(path.read_text())
-    except OSError as error:
-        raise UserError(f"{what} {path} cannot be read: {error.strerror or error}") from None
-    except ValueError as error:
-        raise UserError(f"{what} {path} is not JSON ({error}): the file is damaged or foreign") from None
+    data = files.read_json(path, what)
     if not isinstance(data, dict) or data.pop("format", None) != form:
         raise UserError(f"{what} {path} is not {form}: the file comes from another program or version")
     return data
@@ -140,7 +135,7 @@ def write_json(path: Path, data: Mapping[str, Any]) -> None:
     Raises:
         UserError: the file cannot be written.
     """
-    write_whole(path, json.dumps(data) + "\n")
+    files.write_whole(path, json.dumps(data) + "\n")
 
 
 def _group_to_json(group: GroupRanks) -> dict[str, Any]:
@@ -169,10 +164,13 @@ def _group_from_json(data: Any, name: str, path: Path) -> GroupRanks:
     top, parts = data.get("max"), data.get("parts", 1)
     if top is not None:
         top = float(_numbers([top], f"max of {name}", path)[0])
-    if not isinstance(parts, int) or parts < 1 or len(rank) % parts:
-        raise UserError(f"{name} in rank table {path} has parts {parts!r}, which does not part {len(rank)} filters")
+    if not isinstance(parts, int) or isinstance(parts, bool) or parts < 1 or len(rank) % parts:
+        raise UserError(f"{name} in rank table {path} has parts {parts!r}, which does not divide {len(rank)} filters")
     views = {
-        key: View(_numbers(value["rank"], f"{key} rank of {name}", path), float(value["max"]))
+        key: View(
+            _numbers(value["rank"], f"{key} rank of {name}", path),
+            float(_numbers([value["max"]], f"{key} max of {name}", path)[0]),
+        )
         for key, value in data.items()
         if isinstance(value, dict) and {"rank", "max"} <= value.keys()
     }

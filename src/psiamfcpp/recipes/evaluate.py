@@ -60,14 +60,15 @@ def evaluate(
     if not trackers:
         raise UserError("--tracker names none: give a model, or another as opencv:mil")
     choices = _named([choose(entry, options) for entry in trackers], names)
-    sequences = BENCHMARKS[dataset].read(root.resolve())
+    unread: dict[str, str] = {}
+    sequences = BENCHMARKS[dataset].read(root.resolve(), unread if allow_missing else None)
     with contextlib.ExitStack() as stack:
         place = results or Path(stack.enter_context(tempfile.TemporaryDirectory()))
         problems = run(choices, dataset, root, sequences, place, jobs, cluster, watch)
         _check(problems, allow_missing, results, watch)
         labels = {sequence.name: sequence.boxes for sequence in sequences}
         files = {choice.name: result_files(place / dataset / choice.name, sequences) for choice in choices}
-        return measure_all(dataset, labels, files, CONVENTIONS, allow_missing, watch)
+        return measure_all(dataset, labels, files, CONVENTIONS, allow_missing, watch, unread)
 
 
 def evaluate_several(

@@ -39,6 +39,8 @@ class Exported:
     """``precision`` and ``auc`` of ``torch`` and of the ``graphs`` on sequences, where such were given"""
     sequences: int = 0
     """number of these sequences"""
+    left_out: list[str] = dataclasses.field(default_factory=list)
+    """what of the data could not be read"""
 
 
 def export(
@@ -49,6 +51,7 @@ def export(
     format: Format = "onnx",
     data: Several[str] = (),
     held_out_every: int = 8,
+    skip_bad: bool = False,
     root: Path | None = None,
     pairs: int = 128,
     layer_loss: float = 0.02,
@@ -63,6 +66,7 @@ def export(
         format: onnx, which onnxruntime and OpenVINO read, or OpenVINO's own.
         data: what to calibrate and check on, each LAYOUT:FOLDER as for training; by default rendered clips.
         held_out_every: the N of training: one clip in N is not drawn from; 0 draws from all.
+        skip_bad: leave out of the data what cannot be read; `watch` receives what.
         root: folder of sequences to follow with the network in torch and with the graphs, plainly, and compare.
         pairs: targets to calibrate on; a quarter as many others serve the check.
         layer_loss: with ``int8``, layers stay in float whose 8 bits alone cost more than this of the boxes' overlap.
@@ -77,9 +81,13 @@ def export(
     network = load(model)
     spec = network.spec
     used, checks = (pairs if int8 else 0), max(4, pairs // 4)
+    left_out: list[str] = []
     if data:
-        crops = sample(DataChoice(tuple(data), held_out_every).training, spec, used + checks)
+        choice = DataChoice(tuple(data), held_out_every, skip_bad)
+        choice.note_left_out(watch.note)
+        crops, left_out = sample(choice.training, spec, used + checks), choice.left_out
     else:
+        watch.note(f"rendering clips for {used + checks} pairs of crops")
         crops = rendered(spec, used + checks)
     ranges, by_layer, kept_float = Ranges(), dict[str, Difference](), list[str]()
     if int8:
@@ -93,7 +101,7 @@ def export(
             stays = ", stays in float" if name in kept_float else ""
             watch.note(f"{name:18} in 8 bits alone: {difference}{stays}")
     difference = write_graphs(network, output, format, ranges, crops[used:])
-    found = Exported(difference, checks, by_layer, kept_float, sequences=len(tracks))
+    found = Exported(difference, checks, by_layer, kept_float, sequences=len(tracks), left_out=left_out)
     if not tracks:
         return found
     ways = {"torch": (str(model), "torch"), "graphs": (str(output), format)}

@@ -143,6 +143,8 @@ def spec_of(table: RankTable, search_size: int | None = None) -> ModelSpec:
     arch = ModelSpec().arch if name == DEFAULT else ModelSpec(architecture=name).arch
     check_groups(table.groups, arch.groups, "the rank table")
     size = search_size or table.about.get("search_size", arch.search_size)
+    if not isinstance(size, int) or isinstance(size, bool):
+        raise UserError(f"the rank table is of search size {size!r}: make it anew with `psiamfcpp rank`")
     return ModelSpec(table.widths, arch.template_size, size, architecture=name)
 
 

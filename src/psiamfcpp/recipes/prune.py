@@ -34,6 +34,8 @@ class Pruned:
     """``parameters``, ``gmacs`` and ``widths`` of the model before"""
     after: dict[str, Any]
     """the same of the pruned network"""
+    left_out: list[str] = dataclasses.field(default_factory=list)
+    """what of the data could not be read"""
 
 
 def prune(
@@ -45,6 +47,7 @@ def prune(
     images: int = 100,
     seed: int = 0,
     held_out_every: int = 8,
+    skip_bad: bool = False,
     watch: Watch = QUIET,
 ) -> Pruned:
     """Cut a model down to the filters that a plan keeps; fine-tune what comes out.
@@ -60,6 +63,7 @@ def prune(
         images: pairs of crops to fit with, drawn as by `psiamfcpp.recipes.rank.rank`.
         seed: of the draw.
         held_out_every: the N of training: one clip in N is not drawn from; 0 draws from all.
+        skip_bad: leave out of the data what cannot be read; `watch` receives what.
         watch: receives progress.
 
     Raises:
@@ -81,8 +85,11 @@ def prune(
         "widths_before": before.spec.widths,
         "version": __version__,
     }
+    left_out: list[str] = []
     if data:
-        choice = DataChoice(tuple(data), held_out_every)
+        choice = DataChoice(tuple(data), held_out_every, skip_bad)
+        choice.note_left_out(watch.note)
+        left_out = choice.left_out
         pairs = plain_pairs(choice.training, before.spec, seed)
         crops, groups = list(batches(pairs, 0, images, _BATCH)), groups_of(before.spec)
         after = refit(after, before, chosen, crops, groups, lambda names: watch.track(names, "layers"))
@@ -93,4 +100,4 @@ def prune(
     )
     if output:
         save(output, after)
-    return Pruned(after, facts(before.spec), facts(after.spec))
+    return Pruned(after, facts(before.spec), facts(after.spec), left_out)

@@ -36,6 +36,7 @@ def rank(
     batch: int = 4,
     seed: int = 0,
     held_out_every: int = 8,
+    skip_bad: bool = False,
     watch: Watch = QUIET,
 ) -> RankTable:
     """Rank the filters of a model: the average rank of each filter's map over template and search crops.
@@ -49,6 +50,7 @@ def rank(
         batch: pairs per forward pass.
         seed: of the draw.
         held_out_every: the N of training: one clip in N is not drawn from; 0 draws from all.
+        skip_bad: leave out of the data what cannot be read; `watch` receives what.
         watch: receives progress.
 
     Returns:
@@ -64,8 +66,9 @@ def rank(
         )
     if output and (output.suffix in (".png", ".npz") or not output.parent.is_dir()):
         raise UserError(f"output {output} must be a .json file in a folder that exists")
-    network, choice = load(model), DataChoice(tuple(data), held_out_every)
+    network, choice = load(model), DataChoice(tuple(data), held_out_every, skip_bad)
     sequences = choice.training
+    choice.note_left_out(watch.note)
     pairs = plain_pairs(sequences, network.spec, seed)
     groups = groups_of(network.spec)
     about = {
@@ -81,7 +84,8 @@ def rank(
     state = output.with_suffix(".npz") if output else None
     looks = _look(network, groups, pairs, images, batch, state, key, watch)
     ranks = table(network, groups, looks)
-    ranks = dataclasses.replace(ranks, about={**about, **ranks.about, "stability": stability(looks)})
+    left_out = {"left_out": choice.left_out} if skip_bad else {}
+    ranks = dataclasses.replace(ranks, about={**about, **left_out, **ranks.about, "stability": stability(looks)})
     if output:
         ranks.write(output)
         draw_ranks(ranks, output.with_suffix(".png"))

@@ -66,7 +66,9 @@ def train(
     )
     first = os.environ.get("RANK", "0") == "0"
     if first:
-        watch.note(f"{len(training)} targets to train on, {len(held_out)} clips held out")
+        data.note_left_out(watch.note)
+        usable = sum(len(sequence.usable()) > 0 for sequence in training)
+        watch.note(f"{usable} targets to train on, {len(held_out)} clips held out")
     try:
         for row in run_training(model, training, held_out, output, options, run):
             on_row(row)

@@ -106,7 +106,8 @@ def compare(
         UserError: the labels cannot be read, two trackers have one name, or a result cannot be scored.
     """
     benchmark = BENCHMARKS[name]
-    labels = benchmark.read_labels(root)
+    unread: dict[str, str] = {}
+    labels = benchmark.read_labels(root, unread if allow_missing else None)
     trackers: dict[str, Files] = {}
     used: set[Path] = set()
     for folder in results:
@@ -119,7 +120,7 @@ def compare(
     if not trackers:
         return None, used
     measured = [
-        measure(tracker, name, files, labels, CONVENTIONS, allow_missing) for tracker, files in trackers.items()
+        measure(tracker, name, files, labels, CONVENTIONS, allow_missing, unread) for tracker, files in trackers.items()
     ]
     rows = [row for row in published() if row.dataset == name]
     attributes = read_attributes(name, root, list(labels))

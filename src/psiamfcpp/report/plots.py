@@ -9,7 +9,6 @@ import numpy as np
 
 from psiamfcpp.evaluation.measured import Measured
 from psiamfcpp.evaluation.metrics import OVERLAP_THRESHOLDS, PRECISION_THRESHOLDS, Convention
-from psiamfcpp.evaluation.results import read_result
 from psiamfcpp.geometry import FloatArray, overlap
 from psiamfcpp.report.compare import PAPER, Comparison, average
 from psiamfcpp.report.published import Published, averaged
@@ -149,7 +148,7 @@ def overlap_over_time(comparison: Comparison, sequence: str, truth: FloatArray, 
     figure, axes = _figure(height=2.9)
     ranked = sorted(shown, key=lambda m: -m.figures["otb"][sequence]["auc"])[:_LINES]
     for place, entry in enumerate(ranked):
-        boxes = read_result(entry.files[sequence], len(truth))
+        boxes = entry.boxes(sequence, len(truth))
         with np.errstate(invalid="ignore"):
             values = np.where((truth[:, 2:] > 0).all(axis=1), overlap(boxes, truth), np.nan)
         label = f"{entry.tracker} [{entry.figures['otb'][sequence]['auc']:.3f}]"

@@ -11,7 +11,6 @@ import numpy as np
 from psiamfcpp.datasets import Sequence as Labelled
 from psiamfcpp.errors import UserError
 from psiamfcpp.evaluation.measured import Measured
-from psiamfcpp.evaluation.results import read_result
 from psiamfcpp.geometry import FloatArray, Image
 from psiamfcpp.report.compare import Comparison
 from psiamfcpp.video.drawing import Colour, draw_status
@@ -90,7 +89,7 @@ def make_strip(sequence: Labelled, entries: list[Measured], styles: dict[str, tu
     Raises:
         UserError: a frame or a result cannot be read.
     """
-    boxes = {entry.tracker: read_result(entry.files[sequence.name], len(sequence)) for entry in entries}
+    boxes = {entry.tracker: entry.boxes(sequence.name, len(sequence)) for entry in entries}
     colours = {tracker: _bgr(styles[tracker][0]) for tracker in boxes}
     frames: dict[int, Image] = {}
     for number in np.linspace(0, len(sequence) - 1, _FRAMES + 1).round().astype(int)[1:].tolist():

@@ -90,7 +90,7 @@ def _figures(
             made[f"attributes-{c.dataset}-{kind}"] = plots.attribute_radar(c, kind, styles)
         yield from ((name, figure) for name, figure in made.items() if figure is not None)
     for c in comparisons:
-        labels = BENCHMARKS[c.dataset].read_labels(c.root)
+        labels = BENCHMARKS[c.dataset].read_labels(c.root, {})
         for sequence in telling(c, sequences):
             figure = plots.overlap_over_time(c, sequence, labels[sequence], styles)
             if figure is not None:

@@ -8,6 +8,7 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
+from psiamfcpp.errors import UserError
 from psiamfcpp.geometry import Image
 from psiamfcpp.spec import ModelSpec
 
@@ -82,6 +83,17 @@ def resized(spec: ModelSpec, search_size: int | None) -> ModelSpec:
 
 
 def warm_up(engine: Engine) -> None:
-    """Run an engine once, so that the first frame takes no longer than later ones."""
-    z, x = (np.zeros((side, side, 3), np.uint8) for side in (engine.spec.template_size, engine.spec.search_size))
-    engine.search(x, engine.template(z))
+    """Run an engine once, so that the first frame takes no longer than later ones.
+
+    Raises:
+        UserError: what it returns is not of the right shape, or not finite.
+    """
+    rng = np.random.default_rng(0)
+    sides = (engine.spec.template_size, engine.spec.search_size)
+    z, x = (rng.integers(0, 256, (side, side, 3), np.uint8) for side in sides)
+    scores, boxes = engine.search(x, engine.template(z))
+    cells = engine.spec.arch.score_size(engine.spec.search_size)
+    if scores.shape != (cells, cells) or boxes.shape != (cells, cells, 4):
+        raise UserError(f"the model gives maps of {scores.shape} and {boxes.shape} for {cells} cells: export it again")
+    if not (np.isfinite(scores).all() and np.isfinite(boxes).all()):
+        raise UserError("the model gives values that are not finite: export it again")

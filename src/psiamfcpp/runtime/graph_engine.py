@@ -7,11 +7,12 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import ClassVar
 
+from psiamfcpp.errors import UserError
 from psiamfcpp.geometry import Image
 from psiamfcpp.machine import usable_cores
 from psiamfcpp.runtime.device import CPU, Device
 from psiamfcpp.runtime.engine import Float32Array, Images, resized, warm_up
-from psiamfcpp.runtime.graph_file import graph_precision, same_model
+from psiamfcpp.runtime.graph_file import check_onnx, damaged, graph_precision, same_model
 from psiamfcpp.runtime.lanes import Lanes, Search
 from psiamfcpp.spec import ModelSpec
 
@@ -44,7 +45,19 @@ class GraphEngine(ABC):
         device: Device = CPU,
     ):
         template, search = graphs
-        total = threads or usable_cores()
+        for path in graphs:
+            if path.suffix == ".onnx":
+                check_onnx(path)
+        try:
+            self._start(template, search, threads or usable_cores(), search_size, device)
+        except UserError:
+            raise
+        except Exception as error:  # the runtimes' errors have no common base of their own
+            if device.kind != "cpu":
+                raise
+            raise damaged(template.parent, error) from None
+
+    def _start(self, template: Path, search: Path, total: int, search_size: int | None, device: Device) -> None:
         self.device = str(device)
         self._template, described = self._open_template(template, total, device)
         self.spec = resized(described, search_size)

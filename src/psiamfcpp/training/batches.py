@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 from torch.utils.data import DataLoader, Dataset
 
+from psiamfcpp.errors import UserError
 from psiamfcpp.training.pairs import Pair, PairSampler
 from psiamfcpp.training.stored import Said, StoredMaps
 
@@ -71,20 +72,29 @@ def _stacked(said: list[Said]) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     return scores, sides, corners, trust
 
 
-class _Numbered(Dataset[tuple[Pair, Said | None]]):
-    """Pairs by number, for the loader's processes."""
+class _Numbered(Dataset["tuple[Pair, Said | None] | UserError"]):
+    """Pairs by number, for the loader's processes.
+
+    A `UserError` is handed over: raised in another process, it would arrive with that process's traceback in its text.
+    """
 
     def __init__(self, sampler: PairSampler, stored: StoredMaps | None):
         self._sampler = sampler
         self._stored = stored
 
-    def __getitem__(self, index: int) -> tuple[Pair, Said | None]:
-        return self._sampler.pair(index), None if self._stored is None else self._stored.get(index)
+    def __getitem__(self, index: int) -> tuple[Pair, Said | None] | UserError:
+        try:
+            return self._sampler.pair(index), None if self._stored is None else self._stored.get(index)
+        except UserError as error:
+            return error
 
 
-def _collated(samples: list[tuple[Pair, Said | None]]) -> Batch:
-    said = [s for _, s in samples if s is not None]
-    return collate([pair for pair, _ in samples], said or None)
+def _collated(samples: list[tuple[Pair, Said | None] | UserError]) -> Batch | UserError:
+    whole = [sample for sample in samples if not isinstance(sample, UserError)]
+    if len(whole) < len(samples):
+        return next(sample for sample in samples if isinstance(sample, UserError))
+    said = [s for _, s in whole if s is not None]
+    return collate([pair for pair, _ in whole], said or None)
 
 
 def numbered_batches(
@@ -110,9 +120,12 @@ def numbered_batches(
         ranks: number of processes.
         workers: loader processes; 0 loads in this one.
         stored: what a teacher says of the pairs.
+
+    Raises:
+        UserError: an image cannot be read.
     """
     order = [[(step * ranks + rank) * batch + i for i in range(batch)] for step in range(start, end)]
-    yield from DataLoader(
+    loader = DataLoader(
         _Numbered(sampler, stored),
         batch_sampler=order,
         collate_fn=_collated,
@@ -123,6 +136,10 @@ def numbered_batches(
         # A forked child can wait for ever on a lock of OpenCV's thread pool.
         multiprocessing_context="spawn" if workers else None,
     )
+    for found in loader:
+        if isinstance(found, UserError):
+            raise found
+        yield found
 
 
 def _one_thread(_worker: int) -> None:

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 from psiamfcpp.errors import UserError
-from psiamfcpp.files import whole
+from psiamfcpp.files import parse_json, read_text, whole
 
 
 def draw_curve(log: Path, image: Path) -> None:
@@ -25,7 +24,7 @@ def draw_curve(log: Path, image: Path) -> None:
     from matplotlib import pyplot as plt
 
     try:
-        rows = [json.loads(line) for line in log.read_text().splitlines()]
+        rows = [parse_json(line, f"training log {log}") for line in read_text(log, "training log").splitlines()]
         steps = [r["step"] for r in rows]
         known = ("cls", "centerness", "iou", "teacher")
         parts = {name: [r[name] for r in rows] for name in known if any(name in r for r in rows)}
@@ -34,8 +33,6 @@ def draw_curve(log: Path, image: Path) -> None:
         shares = {
             name: [v[name] for _, v in checks] for name in ("within8", "within16", "overlap", "score", "separation")
         }
-    except (OSError, ValueError) as error:
-        raise UserError(f"training log {log} cannot be read: {error}") from None
     except (KeyError, TypeError) as error:
         raise UserError(f"training log {log} is damaged: a row holds no {error}") from None
     figure, (left, right) = plt.subplots(1, 2, figsize=(11, 4), layout="constrained")

@@ -23,7 +23,7 @@ from torch import Tensor, nn
 from psiamfcpp.datasets import Sequence
 from psiamfcpp.datasets.frames import FrameStore
 from psiamfcpp.errors import UserError
-from psiamfcpp.files import write_whole, writing
+from psiamfcpp.files import check_file, read_text, write_whole, writing
 from psiamfcpp.machine import has_bf16
 from psiamfcpp.models.arch import opened
 from psiamfcpp.models.checkpoint import save
@@ -304,20 +304,23 @@ def _resume(
     """Load the saved state, if any, and return the step to continue from."""
     if not path.exists():
         return 0
+    check_file(path, "state", "remove it to begin the run anew")
     try:
         state = torch.load(path, map_location="cpu", weights_only=True)
+        before, now = _completed(json.loads(state["options"]), TrainOptions()), dataclasses.asdict(options)
+        if json.loads(json.dumps(before)) != json.loads(json.dumps(now)):
+            raise UserError(f"{path} belongs to a run with other options: use another output folder, or remove it")
+        if {k: v.shape for k, v in state["model"].items()} != {k: v.shape for k, v in model.state_dict().items()}:
+            raise UserError(f"{path} belongs to a network of other widths: use another output folder, or remove it")
+        model.load_state_dict(state["model"])
+        mean.load_state_dict(state["mean"])
+        optimizer.load_state_dict(state["optimizer"])
+        return int(state["step"])
+    except UserError:
+        raise
     except Exception as error:  # a damaged pickle can fail in any way
         reason = (str(error) or type(error).__name__).splitlines()[0]
         raise UserError(f"{path} cannot be read ({reason}): remove it to begin the run anew") from None
-    before, now = _completed(json.loads(state["options"]), TrainOptions()), dataclasses.asdict(options)
-    if json.loads(json.dumps(before)) != json.loads(json.dumps(now)):
-        raise UserError(f"{path} belongs to a run with other options: use another output folder, or remove it")
-    if {k: v.shape for k, v in state["model"].items()} != {k: v.shape for k, v in model.state_dict().items()}:
-        raise UserError(f"{path} belongs to a network of other widths: use another output folder, or remove it")
-    model.load_state_dict(state["model"])
-    mean.load_state_dict(state["mean"])
-    optimizer.load_state_dict(state["optimizer"])
-    return int(state["step"])
 
 
 def _completed(stored: Any, default: Any) -> Any:
@@ -335,7 +338,7 @@ def _truncate_log(path: Path, step: int) -> None:
     """Drop what a killed run logged after its last saved state, since it will be logged again."""
     if not path.exists():
         return
-    rows = [line for line in path.read_text().splitlines() if _step_of(line) <= step]
+    rows = [line for line in read_text(path, "training log").splitlines() if _step_of(line) <= step]
     write_whole(path, "".join(row + "\n" for row in rows))
 
 

@@ -154,12 +154,17 @@ class StoredMaps:
                 with safe_open(str(path), framework="np") as file:
                     said = (file.metadata() or {}).get("pairs")
                     parts.append({key: file.get_tensor(key) for key in file.keys()})  # noqa: SIM118 - not a dict
-            except (OSError, SafetensorError) as error:
+            except Exception as error:  # a damaged file can fail in any way
                 raise UserError(f"teacher maps {path} cannot be read ({error}): store them again") from None
             if said != _signature(options, seed):
                 raise UserError(f"teacher maps {path} are of other pairs: store them for this run's options and seed")
-        self._fields = {field.name: np.concatenate([part[field.name] for part in parts]) for field in _FIELDS}
-        numbers = np.concatenate([part["numbers"] for part in parts])
+        try:
+            self._fields = {field.name: np.concatenate([part[field.name] for part in parts]) for field in _FIELDS}
+            numbers = np.concatenate([part["numbers"] for part in parts])
+        except (KeyError, ValueError) as error:
+            raise UserError(f"teacher maps in {folder} are damaged ({error}): store them again") from None
+        if any(len(values) != len(numbers) for values in self._fields.values()):
+            raise UserError(f"teacher maps in {folder} are damaged, of {len(numbers)} pairs: store them again")
         self._rows = {int(number): row for row, number in enumerate(numbers)}
 
     def __len__(self) -> int:

@@ -10,6 +10,7 @@ from collections.abc import Iterator
 
 import cv2
 
+from psiamfcpp.errors import UserError
 from psiamfcpp.images import quiet_opencv
 
 FALLBACK_FPS = 30.0
@@ -27,6 +28,20 @@ _SETTINGS = {
     "OPENCV_FFMPEG_READ_ATTEMPTS": str(2**31 - 1),
     "OPENCV_FFMPEG_DECODE_ATTEMPTS": str(2**31 - 1),
 }
+
+
+def check_name(text: str) -> None:
+    """Refuse what cannot be a name here, and what OpenCV and FFmpeg would crash on.
+
+    Raises:
+        UserError: the name is empty, holds a zero byte or is not UTF-8.
+    """
+    try:
+        bad = "\0" in text or not text.encode("utf-8")
+    except UnicodeEncodeError:
+        bad = True
+    if bad:
+        raise UserError(f"{text!r} cannot be read: rename it, so that its name is UTF-8 and not empty")
 
 
 def open_capture(target: int | str, timeout_s: float | None) -> cv2.VideoCapture:

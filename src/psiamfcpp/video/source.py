@@ -19,6 +19,7 @@ from psiamfcpp.images import IMAGE_SUFFIXES, ImageReader, image_files
 from psiamfcpp.video.capture import (
     FALLBACK_FPS,
     SESSION_SUFFIX,
+    check_name,
     ended_early,
     has_gstreamer,
     is_pipeline,
@@ -118,7 +119,7 @@ def open_source(
         if len(text) > _CAMERA_DIGITS or int(text) < 0:
             raise UserError(f"camera {text[:40]} cannot be opened: give a number from 0 to {10**_CAMERA_DIGITS - 1}")
         return _live(int(text), f"camera {text}", fps, on_event, reconnect_s, timeout_s)
-    _check_name(text)
+    check_name(text)
     if is_pipeline(text):
         if not has_gstreamer():
             raise UserError("this OpenCV has no GStreamer, so it runs no pipeline: install one that was built with it")
@@ -145,16 +146,6 @@ def open_source(
         found = (Path(p) for p in glob.glob(str(path), recursive=True))  # noqa: PTH207 - the pattern may be absolute
         return _images(image_files(found), text, f"{text} matches no image", fps)
     raise UserError(f"{text} does not exist: give {_KINDS}")
-
-
-def _check_name(text: str) -> None:
-    """Refuse what cannot be a name here, and what OpenCV and FFmpeg would crash on."""
-    try:
-        bad = "\0" in text or not text.encode("utf-8")
-    except UnicodeEncodeError:
-        bad = True
-    if bad:
-        raise UserError(f"{text!r} cannot be read: rename it, so that its name is UTF-8 and not empty")
 
 
 def _live(

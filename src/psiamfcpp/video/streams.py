@@ -140,7 +140,8 @@ def _count(stream: Any, rate: float | None, length_s: float | None) -> int | Non
 
 def _is_deep(stream: Any) -> bool:
     """Whether a stream is grey with more than 8 bits."""
-    form = stream.format
+    # a stream of an unknown codec has none
+    form = getattr(stream, "format", None)
     return form is not None and len(form.components) == 1 and form.components[0].bits > 8
 
 

@@ -7,11 +7,13 @@ rest lies in a distribution of its own, ``psiamfcpp-weights``, and is found once
 
 from __future__ import annotations
 
+import contextlib
 import difflib
 import importlib.util
 from pathlib import Path
 
 from psiamfcpp.errors import UserError
+from psiamfcpp.files import is_file
 
 DEFAULT_MODEL = "psiamfcpp-alexnet-int8"
 
@@ -51,7 +53,7 @@ def weights_path(path_or_name: str | Path) -> Path:
     if str(path_or_name) in names():
         return next(path for folder in _folders() if (path := folder / f"{path_or_name}.safetensors").exists())
     path = Path(path_or_name)
-    if path.is_file():
+    if is_file(path):
         return path
     if str(path_or_name) in _ELSEWHERE and importlib.util.find_spec(_WEIGHTS) is None:
         raise UserError(
@@ -73,7 +75,9 @@ def graph_folder(path_or_name: str | Path) -> Path | None:
     if str(path_or_name) in graph_names():
         return next(path for folder in _folders() if (path := folder / str(path_or_name)).is_dir())
     path = Path(path_or_name)
-    return path if any(path.glob("search.*")) else None
+    with contextlib.suppress(OSError, ValueError):
+        return path if any(path.glob("search.*")) else None
+    return None
 
 
 def model_files(path_or_name: str | Path) -> list[Path]:
