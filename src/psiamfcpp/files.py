@@ -15,7 +15,7 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from psiamfcpp.errors import UserError
+from psiamfcpp.errors import UserError, brief
 
 # The largest file that is read at once, COCO's annotations, has half a GiB.
 _MOST_BYTES = 2**31
@@ -104,7 +104,7 @@ def read_table(path: Path, what: str, fix: str = "replace it") -> Iterator[tuple
         for row in lines:
             yield lines.line_num, row
     except csv.Error as error:
-        raise UserError(f"{what} {path} cannot be read ({error}): {fix}") from None
+        raise UserError(f"{what} {path} cannot be read ({brief(error)}): {fix}") from None
 
 
 def read_json(path: Path, what: str, fix: str = "replace it") -> Any:
@@ -126,7 +126,7 @@ def parse_json(text: str, what: str, fix: str = "the file is damaged or foreign"
         data = json.loads(text, parse_int=_whole_number)
         _check_depth(data)
     except (ValueError, RecursionError) as error:
-        raise UserError(f"{what} is not JSON ({error}): {fix}") from None
+        raise UserError(f"{what} is not JSON ({brief(error)}): {fix}") from None
     return data
 
 

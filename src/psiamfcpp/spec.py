@@ -14,7 +14,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from psiamfcpp.errors import UserError
+from psiamfcpp.errors import UserError, brief
 from psiamfcpp.files import parse_json
 from psiamfcpp.models.arch import DEFAULT, Architecture, architecture
 
@@ -95,7 +95,7 @@ class ModelSpec:
                 object.__setattr__(self, name, value)
         _check_widths(self.widths, arch)
         if self.template_size != arch.template_size:
-            raise UserError(f"template size is {self.template_size}: {architecture} has {arch.template_size}")
+            raise UserError(f"template size is {self.template_size}: {self.architecture} has {arch.template_size}")
         if self.search_size > _MOST_PIXELS:
             raise UserError(f"search size {self.search_size} is too large: at most {_MOST_PIXELS} pixels")
         arch.score_size(self.search_size)
@@ -160,7 +160,8 @@ def _check_widths(widths: Mapping[str, int], arch: Architecture) -> None:
     missing, extra = set(arch.groups) - set(widths), set(widths) - set(arch.groups)
     if missing or extra:
         raise UserError(
-            f"widths need the {len(arch.groups)} groups; missing {sorted(missing)}, unknown {sorted(extra)}"
+            f"widths need the {len(arch.groups)} groups; missing {brief(sorted(missing))}, "
+            f"unknown {brief(sorted(extra))}"
         )
     for name, width in widths.items():
         if not isinstance(width, int) or isinstance(width, bool) or not 1 <= width <= _MOST_FILTERS:
@@ -176,10 +177,12 @@ def _build(cls: type[Any], data: Any) -> Any:
         if key not in known:
             near = difflib.get_close_matches(key, known, n=1)
             hint = f": did you mean {near[0]!r}?" if near else f"; known are {', '.join(known)}"
-            raise UserError(f"unknown key {key!r} in {cls.__name__}{hint}")
+            raise UserError(f"unknown key {brief(repr(key))} in {cls.__name__}{hint}")
         kind = known[key]
         if kind and not _is_of(value, kind):
-            raise UserError(f"{key} in {cls.__name__} is {value!r}, which is no such value: the file is damaged")
+            raise UserError(
+                f"{key} in {cls.__name__} is {brief(repr(value))}, which is no such value: the file is damaged"
+            )
     return cls(**data)
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from psiamfcpp.errors import UserError
+from psiamfcpp.errors import UserError, brief
 from psiamfcpp.files import read_text
 
 _UAV123 = (
@@ -102,5 +102,5 @@ def _read(path: Path, columns: int) -> list[bool]:
         if len(flags) != columns or not {0.0, 1.0}.issuperset(flags):
             raise ValueError(f"it holds {len(flags)} numbers")
     except ValueError as error:
-        raise UserError(f"attributes {path} cannot be read ({error}): {fix}") from None
+        raise UserError(f"attributes {path} cannot be read ({brief(error)}): {fix}") from None
     return [flag == 1 for flag in flags]

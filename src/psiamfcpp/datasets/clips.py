@@ -9,7 +9,7 @@ import numpy as np
 from psiamfcpp.datasets.folder import source_of
 from psiamfcpp.datasets.frames import VideoFrame, video_frames
 from psiamfcpp.datasets.sequence import LeftOut, Sequence, each, require, tolerated
-from psiamfcpp.errors import UserError
+from psiamfcpp.errors import UserError, brief
 from psiamfcpp.files import read_table
 from psiamfcpp.geometry import FloatArray
 
@@ -32,7 +32,7 @@ def read(root: Path, left_out: LeftOut = None) -> list[Sequence]:
                 number, box = int(row["frame"]), [float(row[key]) for key in "xywh"]
                 tracks.setdefault((row["clip"], row["track"]), {})[number] = box
             except (KeyError, ValueError) as error:
-                problem = f"{table} line {line} is not a labelled box ({error})"
+                problem = f"{table} line {line} is not a labelled box ({brief(error)})"
                 raise UserError(f"{problem}; expected layout: {LAYOUT}") from None
     frames = {}
     for clip in dict.fromkeys(clip for clip, _ in tracks):

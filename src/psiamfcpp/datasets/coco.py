@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from psiamfcpp.datasets.sequence import LeftOut, Present, Sequence, require, tolerated
-from psiamfcpp.errors import UserError
+from psiamfcpp.errors import UserError, brief
 from psiamfcpp.files import read_json
 from psiamfcpp.geometry import FloatArray
 
@@ -62,7 +62,7 @@ def _part(table: Path, folder: Path, left_out: LeftOut) -> Iterator[Sequence]:
 def _foreign(table: Path, error: Exception, label: object = None) -> UserError:
     """What to say of annotations, or of one of them, that are not as COCO's."""
     which = "" if label is None else f"annotation {label.get('id') if isinstance(label, dict) else label!r}: "[:80]
-    problem = f"{which}{type(error).__name__}: {error}"
+    problem = f"{which}{type(error).__name__}: {brief(error)}"
     return UserError(f"annotations {table} are not COCO instances ({problem}): fetch them again")
 
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from psiamfcpp.datasets.boxes import read_boxes
 from psiamfcpp.datasets.sequence import LeftOut, Sequence, each, matched, require
-from psiamfcpp.errors import UserError
+from psiamfcpp.errors import UserError, brief
 from psiamfcpp.files import read_text
 from psiamfcpp.images import image_files
 
@@ -52,7 +52,7 @@ def read_labels(path: Path) -> NDArray[np.int64]:
     try:
         return np.array([int(word) for word in words], dtype=np.int64)
     except (ValueError, OverflowError) as error:
-        raise UserError(f"labels {path} cannot be read ({error}): one integer a frame is expected") from None
+        raise UserError(f"labels {path} cannot be read ({brief(error)}): one integer a frame is expected") from None
 
 
 def _sequence(folder: Path, left_out: LeftOut) -> Sequence:

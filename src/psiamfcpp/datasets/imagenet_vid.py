@@ -12,7 +12,7 @@ import numpy as np
 
 from psiamfcpp.datasets.boxes import find_files
 from psiamfcpp.datasets.sequence import LeftOut, Sequence, require, tolerated
-from psiamfcpp.errors import UserError
+from psiamfcpp.errors import UserError, brief
 from psiamfcpp.files import read_bytes
 from psiamfcpp.geometry import from_corners
 from psiamfcpp.images import image_files
@@ -60,7 +60,7 @@ def _objects(label: Path) -> list[tuple[str, list[float]]]:
         ]
     # LookupError: an encoding that is not known
     except (ElementTree.ParseError, ValueError, LookupError) as error:
-        raise UserError(f"annotation {label} cannot be read ({error}): fetch it again") from None
+        raise UserError(f"annotation {label} cannot be read ({brief(error)}): fetch it again") from None
 
 
 def _text(item: ElementTree.Element, path: str) -> str:

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from psiamfcpp.datasets.sequence import LeftOut, Present, Sequence, require, tolerated
-from psiamfcpp.errors import UserError
+from psiamfcpp.errors import UserError, brief
 from psiamfcpp.files import read_table
 
 LAYOUT = "<root>/images/* and <root>/boxes.csv with the columns image,x,y,w,h,label,source"
@@ -29,7 +29,7 @@ def read(root: Path, left_out: LeftOut = None) -> list[Sequence]:
                 box = np.array([[float(row[key]) for key in "xywh"]])
                 image, source = row["image"], row["source"]
             except (KeyError, ValueError) as error:
-                problem = f"{table} line {line} is not a labelled box ({error})"
+                problem = f"{table} line {line} is not a labelled box ({brief(error)})"
                 raise UserError(f"{problem}; expected {LAYOUT}") from None
             objects.append(Sequence(f"{image}#{line}", [present.find(image, f"{table} line {line}")], box, source))
     return objects

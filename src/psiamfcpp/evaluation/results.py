@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from psiamfcpp.datasets.boxes import read_boxes
-from psiamfcpp.errors import UserError
+from psiamfcpp.errors import UserError, brief
 from psiamfcpp.evaluation.matlab import read_variable
 from psiamfcpp.evaluation.metrics import Convention, Scores, score_sequence
 from psiamfcpp.files import read_bytes, read_text
@@ -134,7 +134,7 @@ def read_times(path: Path) -> FloatArray:
     try:
         return np.array([float(line.replace(",", " ").split()[0]) for line in lines])
     except (ValueError, IndexError) as error:
-        raise UserError(f"times {path} cannot be read ({error}): run the tracker again") from None
+        raise UserError(f"times {path} cannot be read ({brief(error)}): run the tracker again") from None
 
 
 def read_result(path: Path, rows: int, counted: Counted = lambda boxes: boxes) -> FloatArray:
@@ -248,7 +248,7 @@ def _read_mat(path: Path) -> FloatArray:
             raise ValueError(f"its field res has shape {getattr(boxes, 'shape', None)}")
     except ValueError as error:
         raise UserError(
-            f"results {path} cannot be read ({error}): a variable results with a field res, x,y,w,h a row, "
+            f"results {path} cannot be read ({brief(error)}): a variable results with a field res, x,y,w,h a row, "
             "saved as -v7, is expected"
         ) from None
     return boxes.astype(np.float64)

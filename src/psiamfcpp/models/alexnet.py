@@ -9,7 +9,7 @@ from safetensors import safe_open
 from safetensors.torch import load_file
 from torch import Tensor
 
-from psiamfcpp.errors import UserError
+from psiamfcpp.errors import UserError, brief
 from psiamfcpp.files import check_file
 from psiamfcpp.models.network import SiamFCpp
 
@@ -34,7 +34,7 @@ def is_alexnet(path: Path) -> bool:
         with safe_open(str(path), framework="pt") as file:
             return "features.0.weight" in file.keys()  # noqa: SIM118 - not a dict
     except Exception as error:  # a damaged file can fail in any way
-        raise UserError(f"weights {path} cannot be read ({error}): give a .safetensors file") from None
+        raise UserError(f"weights {path} cannot be read ({brief(error)}): give a .safetensors file") from None
 
 
 def init_backbone(model: SiamFCpp, path: Path, seed: int = 0) -> None:
@@ -56,7 +56,7 @@ def init_backbone(model: SiamFCpp, path: Path, seed: int = 0) -> None:
     try:
         weights = load_file(str(path))
     except Exception as error:  # a damaged file can fail in any way
-        raise UserError(f"AlexNet weights {path} cannot be read: {error}") from None
+        raise UserError(f"AlexNet weights {path} cannot be read: {brief(error)}") from None
     generator = torch.Generator().manual_seed(seed)
     inputs, sources, shares = 3, torch.arange(3), torch.ones(3)
     for name, (index, published) in _LAYERS.items():

@@ -10,7 +10,7 @@ import torch
 from safetensors import safe_open
 from torch import Tensor
 
-from psiamfcpp.errors import UserError
+from psiamfcpp.errors import UserError, brief
 from psiamfcpp.files import check_file, write_whole
 from psiamfcpp.models.arch import opened
 from psiamfcpp.models.network import Network
@@ -60,7 +60,9 @@ def read(path: Path) -> tuple[ModelSpec, dict[str, Tensor]]:
     except UserError as error:
         raise error if str(path) in str(error) else UserError(f"checkpoint {path}: {error}") from None
     except Exception as error:  # a damaged file can fail in any way
-        raise UserError(f"checkpoint {path} cannot be read ({error}): the file is damaged or no safetensors") from None
+        raise UserError(
+            f"checkpoint {path} cannot be read ({brief(error)}): the file is damaged or no safetensors"
+        ) from None
 
 
 def save(path: Path, model: Network, dtype: torch.dtype = torch.float32) -> None:

@@ -10,7 +10,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from psiamfcpp.errors import UserError
+from psiamfcpp.errors import UserError, brief
 from psiamfcpp.files import check_file
 from psiamfcpp.models.checkpoint import fit
 from psiamfcpp.models.network import SiamFCpp
@@ -46,7 +46,7 @@ def import_official(path: Path) -> SiamFCpp:
             warnings.simplefilter("ignore")
             loaded: Any = torch.load(path, map_location="cpu", weights_only=True)
     except Exception as error:  # a damaged pickle can fail in any way
-        reason = str(error).split(". ")[0].splitlines()[0] if str(error) else type(error).__name__
+        reason = brief(str(error).split(". ")[0] or type(error).__name__)
         raise UserError(f"checkpoint {path} cannot be read as plain weights: {reason}") from None
     state = loaded.get("model_state_dict", loaded) if isinstance(loaded, dict) else None
     if (

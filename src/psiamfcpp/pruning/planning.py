@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from psiamfcpp.errors import UserError
+from psiamfcpp.errors import UserError, brief
 from psiamfcpp.pruning.table import GroupRanks, RankTable, read_json, write_json
 
 FORMAT = "psiamfcpp-plan/1"
@@ -30,7 +30,9 @@ class Plan:
                 raise UserError(f"the plan prunes {name} to zero: every group must keep at least one filter")
             bad = [f for f in filters if not isinstance(f, int) or isinstance(f, bool) or f < 0]
             if bad:
-                raise UserError(f"the plan keeps filter {bad[0]!r} of {name}: filters are numbered 0, 1, 2 ...")
+                raise UserError(
+                    f"the plan keeps filter {brief(repr(bad[0]))} of {name}: filters are numbered 0, 1, 2 ..."
+                )
             if len(set(filters)) < len(filters):
                 twice = next(f for f, count in Counter(filters).items() if count > 1)
                 raise UserError(f"the plan keeps filter {twice} of {name} twice: name each filter once")

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from psiamfcpp.errors import UserError
+from psiamfcpp.errors import UserError, brief
 from psiamfcpp.files import check_file, whole
 from psiamfcpp.geometry import FloatArray
 from psiamfcpp.pruning.ranking import Looked
@@ -56,7 +56,7 @@ def load_looks(path: Path, key: str) -> list[dict[str, Looked]]:
         batch = {name: Looked(tuple(arrays[f"{name}/{k}"] for k in range(len(s))), s) for name, s in sizes.items()}
         found = str(arrays["key"])
     except Exception as error:  # a damaged archive can fail in any way
-        raise UserError(f"{path} cannot be read ({error}): remove it to begin anew") from None
+        raise UserError(f"{path} cannot be read ({brief(error)}): remove it to begin anew") from None
     if found != key:
         raise UserError(f"{path} is of another model, other data or another seed: remove it, or choose another output")
     return [batch]

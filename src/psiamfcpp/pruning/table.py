@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from psiamfcpp import files
-from psiamfcpp.errors import UserError
+from psiamfcpp.errors import UserError, brief
 from psiamfcpp.geometry import FloatArray
 
 FORMAT = "psiamfcpp-ranks/1"
@@ -101,7 +101,7 @@ class RankTable:
         if not isinstance(groups, dict) or not groups:
             raise UserError(f"rank table {path} has no groups: make it anew with `psiamfcpp rank`")
         if not isinstance(images, int) or isinstance(images, bool) or images < 0:
-            raise UserError(f"rank table {path} is of {images!r} images: a whole number is expected")
+            raise UserError(f"rank table {path} is of {brief(repr(images))} images: a whole number is expected")
         return cls(images, {name: _group_from_json(value, name, path) for name, value in groups.items()}, data)
 
 
@@ -113,7 +113,9 @@ def check_groups(found: Mapping[str, Any], wanted: Mapping[str, Any], what: str)
     """
     missing, extra = [name for name in wanted if name not in found], [name for name in found if name not in wanted]
     if missing or extra:
-        parts = [f"lacks {', '.join(missing)}"] * bool(missing) + [f"has unknown {', '.join(extra)}"] * bool(extra)
+        parts = [f"lacks {', '.join(missing)}"] * bool(missing) + [f"has unknown {brief(', '.join(extra))}"] * bool(
+            extra
+        )
         raise UserError(f"{what} {' and '.join(parts)}: the groups are {', '.join(wanted)}")
 
 
@@ -165,7 +167,9 @@ def _group_from_json(data: Any, name: str, path: Path) -> GroupRanks:
     if top is not None:
         top = float(_numbers([top], f"max of {name}", path)[0])
     if not isinstance(parts, int) or isinstance(parts, bool) or parts < 1 or len(rank) % parts:
-        raise UserError(f"{name} in rank table {path} has parts {parts!r}, which does not divide {len(rank)} filters")
+        raise UserError(
+            f"{name} in rank table {path} has parts {brief(repr(parts))}, which does not divide {len(rank)} filters"
+        )
     views = {
         key: View(
             _numbers(value["rank"], f"{key} rank of {name}", path),
@@ -183,5 +187,7 @@ def _numbers(values: Any, what: str, path: Path) -> NDArray[np.float64]:
     for number, value in enumerate(values):
         good = isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value) and value >= 0
         if not good:
-            raise UserError(f"{what} in {path} is {value!r} at filter {number}: a finite number from 0 up is expected")
+            raise UserError(
+                f"{what} in {path} is {brief(repr(value))} at filter {number}: a finite number from 0 up is expected"
+            )
     return np.array(values, dtype=np.float64)

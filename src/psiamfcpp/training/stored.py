@@ -22,7 +22,7 @@ from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save_file
 from torch import Tensor
 
-from psiamfcpp.errors import UserError
+from psiamfcpp.errors import UserError, brief
 from psiamfcpp.geometry import Image, context_side, from_corners, overlap
 from psiamfcpp.models.network import Maps, cell_grid
 from psiamfcpp.spec import TEMPLATE_SIZE
@@ -155,14 +155,14 @@ class StoredMaps:
                     said = (file.metadata() or {}).get("pairs")
                     parts.append({key: file.get_tensor(key) for key in file.keys()})  # noqa: SIM118 - not a dict
             except Exception as error:  # a damaged file can fail in any way
-                raise UserError(f"teacher maps {path} cannot be read ({error}): store them again") from None
+                raise UserError(f"teacher maps {path} cannot be read ({brief(error)}): store them again") from None
             if said != _signature(options, seed):
                 raise UserError(f"teacher maps {path} are of other pairs: store them for this run's options and seed")
         try:
             self._fields = {field.name: np.concatenate([part[field.name] for part in parts]) for field in _FIELDS}
             numbers = np.concatenate([part["numbers"] for part in parts])
         except (KeyError, ValueError) as error:
-            raise UserError(f"teacher maps in {folder} are damaged ({error}): store them again") from None
+            raise UserError(f"teacher maps in {folder} are damaged ({brief(error)}): store them again") from None
         if any(len(values) != len(numbers) for values in self._fields.values()):
             raise UserError(f"teacher maps in {folder} are damaged, of {len(numbers)} pairs: store them again")
         self._rows = {int(number): row for row, number in enumerate(numbers)}
