@@ -77,3 +77,10 @@ def test_a_users_script_passes_the_strict_type_check(tmp_path: Path):
     environment = {**os.environ, "MYPYPATH": SOURCE}
     done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True)
     assert (done.returncode, done.stderr) == (0, ""), done.stdout
+
+
+def test_every_public_name_is_there_and_no_other() -> None:
+    assert {name for name in psiamfcpp.__all__ if getattr(psiamfcpp, name) is not None} == set(psiamfcpp.__all__)
+    assert set(psiamfcpp.__all__) <= set(dir(psiamfcpp))
+    with pytest.raises(AttributeError, match="has no attribute 'Trakcer'"):
+        _ = psiamfcpp.Trakcer  # type: ignore[attr-defined]

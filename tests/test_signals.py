@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import importlib
 import os
 import signal
 import sys
 import threading
+import time
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 
@@ -79,3 +82,28 @@ def test_other_threads_and_forks_are_left_alone() -> None:
             os._exit(3)
         _, status = os.waitpid(child, 0)
     assert os.waitstatus_to_exitcode(status) == -signal.SIGTERM
+
+
+@pytest.mark.parametrize("kind", ["SIGINT", "SIGTERM"])
+def test_what_comes_during_an_import_waits_for_its_end(
+    kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    text = (
+        f"import os, signal, time\nos.kill(os.getpid(), signal.{kind})\nfor _ in range(9): time.sleep(0.02)\ndone = 1"
+    )
+    name = f"imported_{kind.lower()}"
+    (tmp_path / f"{name}.py").write_text(text)
+    monkeypatch.syspath_prepend(tmp_path)
+    with pytest.raises(KeyboardInterrupt), ended_like_ctrl_c() as ending:
+        importlib.import_module(name)
+        time.sleep(60)
+    assert ending.asked
+    assert sys.modules[name].done == 1
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    assert signal.getsignal(signal.SIGALRM) is signal.SIG_DFL
+
+
+def test_without_a_signal_nobody_asked() -> None:
+    with ended_like_ctrl_c() as ending:
+        pass
+    assert not ending.asked

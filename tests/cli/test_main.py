@@ -6,6 +6,7 @@ import importlib
 import inspect
 import os
 import re
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -14,6 +15,7 @@ import pytest
 
 import psiamfcpp
 from psiamfcpp.cli import COMMANDS
+from psiamfcpp.errors import UserError
 
 from .conftest import Run
 
@@ -159,3 +161,21 @@ def test_the_module_can_be_started_and_its_reader_may_leave() -> None:
     with os.fdopen(writing, "w") as closed:
         done = subprocess.run(command, stdout=closed, stderr=subprocess.PIPE, text=True, env=environment, check=False)
     assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_what_a_library_makes_of_an_interruption_is_an_interruption(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    """torch-pruning gives a KeyboardInterrupt during its trace as an error of its own."""
+
+    def interrupted(*_: object) -> None:
+        try:
+            signal.raise_signal(signal.SIGINT)
+        except KeyboardInterrupt:
+            raise UserError("torch-pruning cannot trace the network") from None
+
+    monkeypatch.setattr("psiamfcpp.cli.datasets.print_json", interrupted)
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        ended = run("datasets", "--json")
+    finally:
+        signal.signal(signal.SIGINT, before)
+    assert (ended.code, ended.out, ended.err) == (130, "", "psiamfcpp: interrupted\n")

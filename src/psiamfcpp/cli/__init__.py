@@ -79,8 +79,7 @@ def main(args: list[str] | None = None) -> int:
         elif args[0] == "--version":
             print(f"psiamfcpp {__version__}")
         else:
-            with ended_like_ctrl_c():
-                _run(args[0], args[1:])
+            _run_until_signal(args[0], args[1:])
         # Now, not at exit, where a reader that has left would look like a fault.
         sys.stdout.flush()
         return 0
@@ -107,6 +106,17 @@ def main(args: list[str] | None = None) -> int:
         name = os.fsdecode(error.filename) if isinstance(error.filename, (str, bytes)) else error.filename
         print(f"psiamfcpp: {printable(name)} cannot be used ({error.strerror}): choose another", file=sys.stderr)
         return 2
+
+
+def _run_until_signal(command: str, args: list[str]) -> None:
+    with ended_like_ctrl_c() as ending:
+        try:
+            _run(command, args)
+        except BaseException:
+            # some libraries make an error of their own of the interruption
+            if ending.asked:
+                raise KeyboardInterrupt from None
+            raise
 
 
 def _run(command: str, args: list[str]) -> None:
