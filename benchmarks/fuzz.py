@@ -108,7 +108,7 @@ def attempt(seed: Seed, place: Path, content: bytes) -> str | None:
     try:
         seed.read(place)
     except UserError as error:
-        return None if len(" ".join(str(error).split())) < 2000 else f"a message of {len(str(error))} characters"
+        return None if len(" ".join(str(error).split())) < 5000 else f"a message of {len(str(error))} characters"
     except Exception:
         return traceback.format_exc()
     return None

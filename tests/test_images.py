@@ -9,10 +9,12 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from psiamfcpp.errors import UserError
-from psiamfcpp.images import ImageReader, image_files, read_image
+from psiamfcpp.images import ImageReader, _is_damaged_png, image_files, is_readable, read_image
 
 
 def test_read_image_gives_bgr_bytes(tmp_path: Path):
@@ -104,3 +106,25 @@ def test_names_that_are_not_utf8_are_read(tmp_path: Path) -> None:
 def test_image_files_come_in_natural_order_without_what_is_no_image(tmp_path: Path) -> None:
     names = ["10.jpg", "2.JPG", "a.webp", "notes.txt", "._2.jpg", "b.jpeg"]
     assert [p.name for p in image_files(tmp_path / n for n in names)] == ["2.JPG", "10.jpg", "a.webp", "b.jpeg"]
+
+
+@pytest.mark.parametrize("suffix", [".png", ".jpg", ".bmp", ".tif", ".webp"])
+def test_cut_images_are_not_readable(tmp_path: Path, suffix: str) -> None:
+    path = tmp_path / f"a{suffix}"
+    cv2.imwrite(str(path), np.random.default_rng(0).integers(0, 256, (40, 60, 3), dtype=np.uint8))
+    assert is_readable(path)
+    path.write_bytes(path.read_bytes()[:20])
+    assert not is_readable(path)
+    path.write_bytes(b"")
+    assert not is_readable(path)
+    assert not is_readable(tmp_path / "gone.png")
+    assert not is_readable(tmp_path)
+
+
+@given(st.integers(0, 2000), st.integers(1, 255))
+def test_a_damaged_png_is_refused_without_a_word_of_the_decoder(at: int, change: int) -> None:
+    image = np.random.default_rng(0).integers(0, 256, (20, 30, 3), dtype=np.uint8)
+    data = bytearray(cv2.imencode(".png", image)[1].tobytes())
+    data[at % len(data)] ^= change
+    assert _is_damaged_png(bytes(data)) or not data.startswith(b"\x89PNG\r\n\x1a\n")
+    assert not _is_damaged_png(cv2.imencode(".png", image)[1].tobytes())

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import os
 import re
+import zlib
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
@@ -20,7 +21,8 @@ from psiamfcpp.geometry import Image
 # In percent: what is darker or brighter is cut off.
 _OUTLIERS = (0.1, 99.9)
 # How JPEG and PNG begin and end.
-_WHOLE = ((b"\xff\xd8", b"\xff\xd9"), (b"\x89PNG\r\n\x1a\n", b"IEND\xaeB`\x82"))
+_PNG = b"\x89PNG\r\n\x1a\n"
+_WHOLE = ((b"\xff\xd8", b"\xff\xd9"), (_PNG, b"IEND\xaeB`\x82"))
 IMAGE_SUFFIXES = {".bmp", ".jpeg", ".jpg", ".png", ".tif", ".tiff", ".webp"}
 
 
@@ -92,7 +94,7 @@ def is_readable(path: Path) -> bool:
 
 def _decoded(data: NDArray[np.uint8]) -> NDArray[Any] | None:
     """The image in three channels and its own depth; None where it is none."""
-    if not data.size:
+    if not data.size or _is_damaged_png(data.tobytes() if data[0] == _PNG[0] else b""):
         return None
     quiet_opencv()
     image = cv2.imdecode(data, cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH)
@@ -102,6 +104,23 @@ def _decoded(data: NDArray[np.uint8]) -> NDArray[Any] | None:
     if image is None:
         return None
     return np.repeat(image[..., None], 3, axis=2) if image.ndim == 2 else image[..., :3]
+
+
+def _is_damaged_png(data: bytes) -> bool:
+    """Whether a PNG is cut, or a part of it is not as its checksum says; the decoder would print that itself."""
+    if not data.startswith(_PNG):
+        return False
+    at, kind, kinds = len(_PNG), b"", set[bytes]()
+    while kind != b"IEND":
+        size, kind = int.from_bytes(data[at : at + 4], "big"), data[at + 4 : at + 8]
+        end = at + 8 + size
+        stored = data[end : end + 4]
+        kinds.add(kind)
+        # of parts that may be left out, whose names begin with a small letter, the decoder only warns
+        if len(stored) < 4 or (kind[:1].isupper() and zlib.crc32(data[at + 4 : end]) != int.from_bytes(stored, "big")):
+            return True
+        at = end + 4
+    return not kinds >= {b"IHDR", b"IDAT"}
 
 
 def quiet_opencv() -> None:

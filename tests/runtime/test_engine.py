@@ -135,7 +135,7 @@ def test_threads_are_set(tiny_model: Path) -> None:
     [
         ({"engine": "tensorflow"}, r"unknown engine 'tensorflow': known are .*torch"),
         ({"engine": ""}, "unknown engine ''"),
-        ({"threads": 0}, "threads is 0: it must be at least 1"),
+        ({"threads": 0}, "threads is 0: it must be from 1 to 1024"),
         ({"threads": -3}, "threads is -3"),
         ({"search_size": 300}, "search size 300 is not 127 plus a multiple of 8: try 239 or 303"),
         ({"search_size": 127}, "search size 127 leaves a score map"),

@@ -38,6 +38,8 @@ class EngineKind:
 
 
 _PACKAGE = "psiamfcpp.runtime"
+# More than any machine has cores; a million would take minutes to start.
+_MOST_THREADS = 1024
 # The first engine of a form is that form's default.
 KINDS: Mapping[str, EngineKind] = {
     "onnx": EngineKind(
@@ -77,8 +79,8 @@ def open_engine(
     """
     if engine not in (None, *ENGINES):
         raise UserError(f"unknown engine {engine!r}: known are {', '.join(ENGINES)}")
-    if threads is not None and threads < 1:
-        raise UserError(f"threads is {threads}: it must be at least 1")
+    if threads is not None and not 1 <= threads <= _MOST_THREADS:
+        raise UserError(f"threads is {threads}: it must be from 1 to {_MOST_THREADS}")
     place = parse_device(device)
     graphs = graph_folder(model)
     name = engine or _named(form="checkpoint" if graphs is None else "graphs")[0]
