@@ -121,12 +121,13 @@ def case(name: str, seed: Seed, number: int) -> bytes:
 
 
 def _work(name: str, make: Callable[[Path], Seed], numbers: range, counts: Any, faults: Any) -> None:
-    """Go through cases; ``counts`` holds the number of the case at work, and how many are done."""
+    """Go through cases; ``counts`` holds the number of the case at work, how many are done, and when it began."""
     faulthandler.disable()
     signal.signal(signal.SIGALRM, _too_slow)
     os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
     with tempfile.TemporaryDirectory() as folder:
         seed = make(Path(folder))
+        counts[2] = counts[2] or time.monotonic_ns()
         for number in numbers:
             counts[0] = number
             signal.alarm(_SECONDS)
@@ -152,19 +153,19 @@ def run(
         make: see `SEEDS`.
         first: number of the first case.
         cases: how many there are.
-        seconds: after which no more are begun.
+        seconds: after which no more are begun; the first imports do not count.
 
     Returns:
         How many were done, and number and description of each that failed.
     """
     context = multiprocessing.get_context("spawn")
     found: list[tuple[int, str]] = []
-    counts, start, last = context.Array("q", [first, 0]), time.monotonic(), first + cases
+    counts, last = context.Array("q", [first, 0, 0]), first + cases
     while first < last:
         faults = context.Queue()
         worker = context.Process(target=_work, args=(name, make, range(first, last), counts, faults), daemon=True)
         worker.start()
-        while worker.is_alive() and time.monotonic() - start < seconds:
+        while worker.is_alive() and not (counts[2] and time.monotonic_ns() - counts[2] > seconds * 1e9):
             worker.join(0.5)
             _drain(faults, found)
         ended = not worker.is_alive()

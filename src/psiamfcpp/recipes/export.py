@@ -66,7 +66,7 @@ def export(
         format: onnx, which onnxruntime and OpenVINO read, or OpenVINO's own.
         data: what to calibrate and check on, each LAYOUT:FOLDER as for training; by default rendered clips.
         held_out_every: the N of training: one clip in N is not drawn from; 0 draws from all.
-        skip_bad: leave out of the data what cannot be read; `watch` is told what.
+        skip_bad: leave out of the data what cannot be read; `watch` receives what.
         root: folder of sequences to follow with the network in torch and with the graphs, plainly, and compare.
         pairs: targets to calibrate on; a quarter as many others serve the check.
         layer_loss: with ``int8``, layers stay in float whose 8 bits alone cost more than this of the boxes' overlap.
