@@ -74,6 +74,16 @@ class Fit:
         self.weight -= share.mT @ self.weight[inputs]
         self.inverse -= across @ share
 
+    def shrink(self, left: Sequence[int]) -> None:
+        """Drop the inputs of all units but those left, which have been removed."""
+        gone = torch.zeros(len(self.weight), dtype=torch.bool)
+        for unit in set(range(len(self.units))).difference(left):
+            gone[self.units[unit]] = True
+            self.units[unit] = self.units[unit][:0]
+        place = (~gone).cumsum(0) - 1
+        self.inverse, self.weight = self.inverse[~gone][:, ~gone], self.weight[~gone]
+        self.units = [place[inputs] for inputs in self.units]
+
 
 def eliminate(fits: list[Fit], units: int) -> Tensor:
     """Remove all units greedily, each time the one that adds least to the sum of the fits' errors.
@@ -83,7 +93,12 @@ def eliminate(fits: list[Fit], units: int) -> Tensor:
     """
     reached, error = torch.zeros(units, dtype=torch.float64), 0.0
     left = list(range(units))
+    size = units
     while left:
+        if len(left) < 0.85 * size:
+            size = len(left)
+            for fit in fits:
+                fit.shrink(left)
         costs = torch.stack([fit.costs(left) for fit in fits]).sum(dim=0).clamp(min=0)
         cheapest = int(costs.argmin())
         error += float(costs[cheapest])

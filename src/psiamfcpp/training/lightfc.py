@@ -28,7 +28,8 @@ def peaks(corners: Tensor, present: Tensor, search_size: int, cells: int) -> Ten
         search_size: side of the search crop in pixels.
         cells: side N of the score map.
     """
-    low, high = (corners[:, :2] + 0.5) * cells / search_size, (corners[:, 2:] + 0.5) * cells / search_size
+    # From edge to edge, in cells.
+    low, high = corners[:, :2] * cells / search_size, (corners[:, 2:] + 1) * cells / search_size
     cell = ((low + high) / 2).floor()
     spread = ((high - low) * _SPREAD).clamp(min=1 / 3)
     line = torch.arange(cells, device=corners.device)
