@@ -12,6 +12,7 @@ import pytest
 import torch
 
 from psiamfcpp.models import load
+from psiamfcpp.models.arch import architecture
 from psiamfcpp.spec import FULL_WIDTHS
 
 from .conftest import Run
@@ -367,3 +368,20 @@ def test_refused_rankings(
     args = {"--data": f"folder:{clips}", "-o": str(tmp_path / "ranks.json")}
     args.update({options[0]: options[1]})
     assert message in run("rank", tiny_model, *(part for item in args.items() for part in item)).refused()
+
+
+def test_tables_of_another_architecture_are_planned(run: Run, tmp_path: Path) -> None:
+    groups = architecture("lightfc").groups
+    # Filter i is worth i, and the stem's filters far more.
+    table = {n: {"rank": [float(i + 1 + 1e6 * n.endswith("stem")) for i in range(w)]} for n, w in groups.items()}
+    ranks, plan = tmp_path / "ranks.json", tmp_path / "plan.json"
+    about = {"architecture": "lightfc", "search_size": 256}
+    ranks.write_text(json.dumps({"format": "psiamfcpp-ranks/1", "images": 9, **about, "groups": table}))
+    ended = run("plan", ranks, "--target-macs", 0.5, "--multiple", 16, "-o", plan, "--flat", "--json")
+    assert ended.code == 0, ended.err
+    facts = json.loads(ended.out)
+    assert facts["before"]["gmacs"] == pytest.approx(0.9187, abs=1e-4) and facts["after"]["gmacs"] <= 0.9187 / 2
+    keep = json.loads(plan.read_text())["keep"]
+    assert {len(filters) % 16 for filters in keep.values()} == {0}
+    assert keep["head.score1"][0] > 0 and keep["head.score1"][-1] == 255
+    assert "multiple is 0" in run("plan", ranks, "--target-macs", 0.5, "--multiple", 0).refused()

@@ -181,7 +181,7 @@ def test_what_does_not_fit_is_refused(scenes: list[Sequence], tiny_model: Path, 
             TeacherOptions(str(tiny_model)),
             "is of architecture siamfcpp-alexnet, whose maps differ",
         ),
-        (TeacherOptions(stored=str(tmp_path)), "a lightfc cannot learn from stored maps"),
+        (TeacherOptions(stored=str(tmp_path)), "lightfc cannot learn from stored maps"),
     ):
         chosen = dataclasses.replace(OPTIONS, teacher=taught_by)
         with pytest.raises(UserError, match=said):

@@ -267,6 +267,9 @@ class Architecture:
             return 3
         layer = self[name]
         own = widths[layer.group] if layer.group else layer.width
+        if not OPERATIONS[layer.operation].carries:
+            # Its own, whatever it reads: going on to the pixels would take ever longer with each sum on the way.
+            return own
         return OPERATIONS[layer.operation].width(own, [self.width(read, widths) for read in layer.reads])
 
     def side(self, name: str, crop: int, template_size: int | None = None) -> int:

@@ -18,7 +18,7 @@ from psiamfcpp.export.graph import Ranges
 from psiamfcpp.export.layers import layers
 from psiamfcpp.export.quantize import measure
 from psiamfcpp.models import build
-from psiamfcpp.models.arch import DEFAULT
+from psiamfcpp.models.arch import DEFAULT, architecture
 from psiamfcpp.models.cost import facts, search_macs
 from psiamfcpp.pruning import planning
 from psiamfcpp.pruning.planning import Plan, plan_for_budget
@@ -140,7 +140,7 @@ def spec_of(table: RankTable, search_size: int | None = None) -> ModelSpec:
     name = table.about.get("architecture", DEFAULT)
     if not isinstance(name, str):
         raise UserError(f"the rank table is of architecture {name!r}: make it anew with `psiamfcpp rank`")
-    arch = ModelSpec().arch if name == DEFAULT else ModelSpec(architecture=name).arch
+    arch = architecture(name)
     check_groups(table.groups, arch.groups, "the rank table")
     size = search_size or table.about.get("search_size", arch.search_size)
     if not isinstance(size, int) or isinstance(size, bool):
