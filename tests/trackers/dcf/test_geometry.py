@@ -161,5 +161,5 @@ def test_areas_of_mcct_h(box, background, normal, cells, target, side):
 
 
 def test_a_background_beyond_the_frame_is_capped():
-    areas = staple.Areas.of(np.array([90.0, 90.0]), (100, 300), 150**2, 1, 0.2)
+    areas = staple.Rule((100, 300), 150**2, 1, 0.2).areas(np.array([90.0, 90.0]))
     assert tuple(areas.background) == (98, 180)

@@ -39,7 +39,7 @@ def test_dssts_closed_form_is_the_ridge_regression_on_all_shifts():
     constants = ScaleConstants(num_scales=7, scale_sigma=1.1, scale_lambda=0.3)
     filter_ = ScaleFilter(constants, (16, 16))
     sample, new = RNG.normal(size=(2, 7, 4)).astype(np.float32)
-    filter_.train(sample)
+    filter_.blend(sample)
     steps = np.arange(7) - 3
     label = np.exp(-(steps**2) / (2 * 1.1**2))
     rows = circulants(sample).astype(float)
@@ -49,20 +49,23 @@ def test_dssts_closed_form_is_the_ridge_regression_on_all_shifts():
 
 @pytest.mark.parametrize("factor", [1.0, 1.04, 1.08, 0.96, 0.92])
 def test_both_filters_find_a_changed_scale_again(factor):
-    dsst, fast = ScaleFilter(ScaleConstants(), (40, 50)), FastScaleFilter(FastScaleConstants(), (40, 50))
-    dsst.train(dsst.sample(TEXTURE, CENTRE, (40, 50)))
-    fast.train(TEXTURE, CENTRE, 1.0)
-    frame = zoomed(factor)
-    found = dsst.factors[dsst.detect(dsst.sample(frame, CENTRE, (40, 50)))]
-    assert found == pytest.approx(factor, abs=0.025)
-    assert fast.detect(frame, CENTRE, 1.0) == pytest.approx(factor, abs=0.025)
+    for filter_ in (ScaleFilter(ScaleConstants(), (40, 50)), FastScaleFilter(FastScaleConstants(), (40, 50))):
+        filter_.train(TEXTURE, CENTRE, 1.0)
+        assert filter_.follow(zoomed(factor), CENTRE, 1.0) == pytest.approx(factor, abs=0.025)
+
+
+def test_both_filters_keep_the_scale_within_its_limits():
+    for kind, constants in ((ScaleFilter, ScaleConstants()), (FastScaleFilter, FastScaleConstants())):
+        filter_ = kind(constants, (40, 50), (0.99, 1.01))
+        filter_.train(TEXTURE, CENTRE, 1.0)
+        assert [filter_.follow(zoomed(f), CENTRE, 1.0) for f in (0.92, 1.08)] == [0.99, 1.01]
 
 
 def test_a_parabola_finds_scales_between_the_steps():
     fast = FastScaleFilter(FastScaleConstants(do_poly_interp=True), (40, 50))
     fast.train(TEXTURE, CENTRE, 1.0)
-    assert fast.detect(TEXTURE, CENTRE, 1.0) == pytest.approx(1, abs=0.005)
-    assert fast.detect(zoomed(1.05), CENTRE, 1.0) == pytest.approx(1.05, abs=0.015)
+    assert fast.follow(TEXTURE, CENTRE, 1.0) == pytest.approx(1, abs=0.005)
+    assert fast.follow(zoomed(1.05), CENTRE, 1.0) == pytest.approx(1.05, abs=0.015)
 
 
 @pytest.mark.parametrize("position", [(121.7, 161.2), (2.0, 3.0), (-40.0, 500.0)])
@@ -77,7 +80,7 @@ def test_patches_are_those_that_are_cut_one_by_one(position):
 def test_decimation_reads_large_targets_at_every_second_pixel():
     fast = FastScaleFilter(FastScaleConstants(decimate=True), (40, 50))
     fast.train(TEXTURE, CENTRE, 3.0)
-    assert fast.detect(TEXTURE, CENTRE, 3.0) == pytest.approx(1)
+    assert fast.follow(TEXTURE, CENTRE, 3.0) == pytest.approx(3)
 
 
 @pytest.mark.parametrize(

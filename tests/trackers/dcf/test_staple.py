@@ -32,7 +32,7 @@ def test_a_response_without_shift_peaks_in_the_middle(size):
 def test_the_colours_of_the_target_are_likely():
     patch = np.full((40, 40, 3), 20, np.uint8)
     patch[12:28, 12:28] = (0, 0, 200)
-    areas = staple.Areas.of(np.array([16.0, 16.0]), (200, 200), 40**2, 1.5, 0.2)
+    areas = staple.Rule((200, 200), 40**2, 1.5, 0.2).areas(np.array([16.0, 16.0]))
     colours = staple.Histograms()
     colours.update(patch, areas, 1.0)
     likelihood = colours.likelihood(patch)

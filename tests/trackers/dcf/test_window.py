@@ -34,10 +34,7 @@ def test_bacf_window(w, h, cell, scale, side, cells, small):
     ],
 )
 def test_strcf_window(w, h, scale, side, cells, small):
-    c = StrcfConstants()
-    found = window.clamped_area_window(
-        np.array([h, w], float), c.search_area_scale, c.cell_size, c.min_image_sample_size, c.max_image_sample_size
-    )
+    found = StrcfConstants().window(np.array([h, w], float))
     assert (found.side, found.cells, found.small) == (side, (cells, cells), small)
     assert found.scale == pytest.approx(scale, abs=1e-6)
 
@@ -46,7 +43,7 @@ def test_strcf_window(w, h, scale, side, cells, small):
 def test_extreme_targets_keep_at_least_one_cell_inside_the_window(size):
     for found in (
         window.fixed_area_window(np.array(size, float), 5, 4, 2500),
-        window.clamped_area_window(np.array(size, float), 5, 4, 150**2, 200**2),
+        window.WindowConstants().window(np.array(size, float)),
     ):
         assert min(found.small) >= 1
         assert found.small[0] <= found.cells[0] and found.small[1] <= found.cells[1]
@@ -55,7 +52,7 @@ def test_extreme_targets_keep_at_least_one_cell_inside_the_window(size):
 
 def test_label_peaks_at_zero_shift_and_widens_with_the_target():
     narrow, wide = (
-        window.clamped_area_window(np.array([s, s], float), 5, 4, 150**2, 200**2).label(f)
+        window.WindowConstants().window(np.array([s, s], float)).label(f)
         for s, f in ((40, 1 / 16), (40, 1 / 8))
     )
     assert np.unravel_index(narrow.argmax(), narrow.shape) == (0, 0)

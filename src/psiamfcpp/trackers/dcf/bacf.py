@@ -10,15 +10,8 @@ from numpy.typing import NDArray
 
 from psiamfcpp.geometry import Box, Image
 from psiamfcpp.trackers.dcf import admm, fourier
-from psiamfcpp.trackers.dcf.geometry import (
-    clamp_scale,
-    is_grey,
-    position_and_size,
-    round_half_away,
-    scale_limits,
-    to_box,
-)
-from psiamfcpp.trackers.dcf.window import fixed_area_window, hog_of, responses, spectra
+from psiamfcpp.trackers.dcf.geometry import clamp_scale, floored, is_grey, round_half_away, to_box
+from psiamfcpp.trackers.dcf.window import View, blend, fixed_area_window, hog_of, neighbours
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,45 +38,29 @@ class Bacf:
 
     def __init__(self, frame: Image, box: Box, constants: BacfConstants):
         self._constants = c = constants
-        corner, size = position_and_size(box)
-        size = np.maximum(np.floor(size), 1)
-        self._position = np.floor(corner + np.floor(size / 2))
-        self._window = w = fixed_area_window(size, c.search_area_scale, c.hog_cell_size, c.filter_max_area)
-        self._scale = w.scale
-        window_size = (w.side, w.side)
-        self._limits = scale_limits(c.scale_step, window_size, w.base, frame.shape[:2])
-        steps = np.arange(c.number_of_scales) - (c.number_of_scales - 1) // 2
-        self._factors = c.scale_step ** steps.astype(float)
-
-        self._features = hog_of(is_grey(frame))
-        self._cosine = fourier.hann2(w.cells).astype(np.float32)
+        position, size = floored(box)
+        w = fixed_area_window(size, c.search_area_scale, c.hog_cell_size, c.filter_max_area)
+        self._view = View(w, position, hog_of(is_grey(frame)))
+        self._limits = self._view.limits(c.scale_step, frame)
+        self._factors = neighbours(c.number_of_scales, c.scale_step)
         self._label = fourier.rfft2(w.label(c.output_sigma_factor))
         self._scheme = admm.Scheme(
             admm.penalties(c.mu, c.beta, c.mu_max, c.admm_iterations),
             admm.constrained(admm.rectangle(w.cells, w.small), c.admm_lambda),
         )
-        self._model = self._look(frame, [self._scale])[0]
+        self._model = self._view.look(frame)[0]
         self._filter = admm.solve(self._model, self._label, self._scheme, w.cells)
 
     def update(self, frame: Image) -> tuple[Box, NDArray[Any]]:
         """The box in the next frame, and the response that it was found in."""
-        c, w = self._constants, self._window
-        samples = self._look(frame, self._scale * self._factors)
-        response = responses(self._filter, samples)
-        planes = fourier.full_plane(response, w.cells[1])
-        shift, best, _ = fourier.newton_peak(planes, c.newton_iterations)
-        found = self._scale * self._factors[best]
-        self._position = self._position + round_half_away(shift * w.cell * found)
-        self._scale = clamp_scale(found, self._limits)
+        c, v, w = self._constants, self._view, self._view.window
+        shift, best, response = v.find(self._filter, v.look(frame, self._factors), c.newton_iterations)
+        found = v.scale * self._factors[best]
+        v.position = v.position + round_half_away(shift * w.cell * found)
+        v.scale = clamp_scale(found, self._limits)
 
-        sample = self._look(frame, [self._scale])[0]
-        self._model *= np.float32(1 - c.learning_rate)
-        sample *= np.float32(c.learning_rate)
-        self._model += sample
+        blend(self._model, v.look(frame)[0], c.learning_rate)
         self._filter = admm.solve(self._model, self._label, self._scheme, w.cells)
 
-        size = np.floor(w.base * self._scale)
-        return to_box(self._position - np.floor(size / 2), size), fourier.irfft2(response[best], w.cells)
-
-    def _look(self, frame: Image, scales: Any) -> NDArray[np.complex64]:
-        return spectra(frame, self._position, scales, self._window, self._features, self._cosine)
+        size = np.floor(w.base * v.scale)
+        return to_box(v.position - np.floor(size / 2), size), fourier.irfft2(response, w.cells)

@@ -14,14 +14,13 @@ from psiamfcpp.trackers.dcf import eco, fourier
 from psiamfcpp.trackers.dcf.eco import Bundle
 from psiamfcpp.trackers.dcf.features import colour_names, fhog, grey_cells, normalise_energy
 from psiamfcpp.trackers.dcf.geometry import (
-    clamp_scale,
+    centred_box,
     crop,
     is_grey,
     position_and_size,
     resize_bilinear,
     round_half_away,
     scale_limits,
-    to_box,
 )
 from psiamfcpp.trackers.dcf.scales import FastScaleConstants, FastScaleFilter
 
@@ -77,7 +76,6 @@ class EcoHc:
         self._side = side = window_side(
             math.sqrt(math.prod(self._base * c.search_area_scale)), c.hog_cell_size, c.cn_cell_size
         )
-        self._limits = scale_limits(c.scale.scale_step, (side, side), self._base, frame.shape[:2])
         self._grey = is_grey(frame)
 
         cells = [side // c.cn_cell_size, side // c.hog_cell_size]
@@ -97,7 +95,8 @@ class EcoHc:
         self._momentum: eco.Momentum | None = None
         self._frame, self._untrained = 1, 0
         self._start(frame)
-        self._scales = FastScaleFilter(c.scale, self._base, model_of=size)
+        limits = scale_limits(c.scale.scale_step, (side, side), self._base, frame.shape[:2])
+        self._scales = FastScaleFilter(c.scale, self._base, limits, model_of=size)
         self._scales.train(frame, self._position, self._scale)
 
     def update(self, frame: Image) -> tuple[Box, NDArray[Any]]:
@@ -109,7 +108,7 @@ class EcoHc:
         scores = eco.complete(self._scores(sample))
         shift, _, _ = fourier.newton_peak(scores[None], c.newton_iterations)
         self._position = around + shift * self._side / self._output * scale
-        self._scale = clamp_scale(scale * self._scales.detect(frame, self._position, scale), self._limits)
+        self._scale = self._scales.follow(frame, self._position, scale)
 
         sample = self._moved(sample, self._position - around, scale)
         self._space.add(sample)
@@ -120,8 +119,7 @@ class EcoHc:
             self._untrained += 1
         self._scales.train(frame, self._position, self._scale)
 
-        size = self._base * self._scale
-        box = to_box(round_half_away(self._position - (size - 1) / 2), round_half_away(size))
+        box = centred_box(self._position, self._base * self._scale)
         return box, fourier.irfft2(scores, (self._output, self._output))
 
     def _features(self, frame: Image, position: FloatArray, scale: float) -> Bundle:

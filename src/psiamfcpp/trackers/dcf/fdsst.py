@@ -21,7 +21,6 @@ from psiamfcpp.trackers.dcf.fourier import (
 )
 from psiamfcpp.trackers.dcf.geometry import (
     Size,
-    clamp_scale,
     crop,
     position_and_size,
     resize_auto,
@@ -59,8 +58,8 @@ class Fdsst:
         sigma = np.sqrt(np.prod(np.maximum(np.floor(self._base / ratio), 1))) * c.output_sigma_factor
         self._label = rfft2(label(self._cells, sigma).astype(np.float32))
         self._hann = hann2(self._cells).astype(np.float32)
-        self._limits = scale_limits(c.scale.scale_step, self._window, self._base, frame.shape[:2])
-        self._scales = FastScaleFilter(c.scale, self._base)
+        limits = scale_limits(c.scale.scale_step, self._window, self._base, frame.shape[:2])
+        self._scales = FastScaleFilter(c.scale, self._base, limits)
         self._template: Float | None = None
         self._train(frame)
 
@@ -72,8 +71,7 @@ class Fdsst:
         response = irfft2_finer(scores, self._cells, c.feature_ratio)
         shift = displacement(argmax2(response), response.shape)
         self._position = self._position + round_half_away(shift * self._scale)
-        factor = self._scales.detect(frame, self._position, self._scale)
-        self._scale = clamp_scale(self._scale * factor, self._limits)
+        self._scale = self._scales.follow(frame, self._position, self._scale)
         self._train(frame)
         size = np.floor(self._base * self._scale)
         return to_box(self._position - np.floor(size / 2), size), irfft2(scores, self._cells)

@@ -43,6 +43,18 @@ def position_and_size(box: Box) -> tuple[FloatArray, FloatArray]:
     return np.array([y, x]), np.array([h, w])
 
 
+def centred_box(position: FloatArray, size: FloatArray) -> Box:
+    """Box of ECO-HC, STRCF and ARCF-HC: position of the centre and size, rounded."""
+    return to_box(round_half_away(position - (size - 1) / 2), round_half_away(size))
+
+
+def floored(box: Box) -> tuple[FloatArray, FloatArray]:
+    """Centre ``(row, column)`` and size ``(h, w)`` of a first box as BACF and AutoTrack take them: whole pixels."""
+    corner, size = position_and_size(box)
+    size = np.maximum(np.floor(size), 1)
+    return np.floor(corner + np.floor(size / 2)), size
+
+
 def to_box(corner: ArrayLike, size: ArrayLike) -> Box:
     """Box of a corner ``(y, x)`` and a size ``(h, w)``; the inverse of `position_and_size`."""
     (y, x), (h, w) = np.asarray(corner, np.float64), np.asarray(size, np.float64)

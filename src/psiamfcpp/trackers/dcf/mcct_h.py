@@ -13,7 +13,6 @@ from psiamfcpp.trackers.dcf.features import NAME_CHANNELS, Float, colour_names, 
 from psiamfcpp.trackers.dcf.fourier import Real, Spectrum, argmax2, hann2, irfft2, rfft2
 from psiamfcpp.trackers.dcf.geometry import (
     Pixels,
-    clamp_scale,
     position_and_size,
     resize_auto,
     round_half_away,
@@ -57,16 +56,16 @@ class McctH:
         corner, size = position_and_size(box)
         # The authors' code needs whole sizes, which their labels have.
         self._position, self._base, self._scale = corner + np.floor(size / 2), round_half_away(size), 1.0
-        self._frame_size = np.array(frame.shape[:2])
-        self._padding = c.padding_large if np.prod(size) > c.large * np.prod(self._frame_size) else c.padding
-        self._areas = self._areas_of(self._base)
+        padding = c.padding_large if np.prod(size) > c.large * np.prod(frame.shape[:2]) else c.padding
+        self._rule = staple.Rule(frame.shape[:2], c.fixed_area, padding, c.inner_padding)
+        self._areas = self._rule.areas(self._base)
         n = self._normal = staple.Normal.of(self._areas)
         self._side = min(n.background)
         sigma = np.sqrt(np.prod(n.target)) * c.output_sigma_factor / staple.CELL
         self._label = rfft2(staple.label(n.cells, sigma).astype(np.float32)).conj()
         self._hann = hann2(n.cells).astype(np.float32)
-        self._limits = scale_limits(c.scale.scale_step, self._areas.background, self._base, self._frame_size)
-        self._scales = ScaleFilter(c.scale, n.target)
+        limits = scale_limits(c.scale.scale_step, self._areas.background, self._base, frame.shape[:2])
+        self._scales = ScaleFilter(c.scale, self._base, limits, model_of=n.target)
         self._colours = staple.Histograms()
         start = np.tile(to_box(self._position - self._base / 2, self._base), (len(EXPERTS), 1))
         self._boxes, self._smooth = [start], [np.ones(len(EXPERTS))]
@@ -91,7 +90,8 @@ class McctH:
         self._remember(np.array([to_box(p - size / 2, size) for p in positions]), float(size.mean()))
         best, filter_rate, colour_rate = self._judge(responses)
         self._position = positions[best]
-        self._follow_scale(frame)
+        self._scale = self._scales.follow(frame, self._position, self._scale)
+        self._areas = self._rule.areas(self._base * self._scale)
         area = 0.8 * self._areas.background
         self._colours.update(staple.patch(frame, self._position, area, n.background), self._areas, colour_rate)
         numerator, denominator = self._train(frame)
@@ -99,10 +99,6 @@ class McctH:
         self._denominator += np.float32(filter_rate) * (denominator - self._denominator)
         # The authors' boxes have the size before this frame's change of scale.
         return to_box(self._position - size / 2, size), responses[best]
-
-    def _areas_of(self, target: FloatArray) -> staple.Areas:
-        c = self._constants
-        return staple.Areas.of(np.maximum(target, 1), self._frame_size, c.fixed_area, self._padding, c.inner_padding)
 
     def _features(self, patch: Pixels) -> Float:
         out = np.empty((BLOCKS[-1].stop, *self._normal.cells), np.float32)
@@ -129,15 +125,9 @@ class McctH:
         spectrum = rfft2(self._features(patch) * self._hann)
         cells = np.float32(n.cells[0] * n.cells[1])
         energy = np.square(spectrum.real) + np.square(spectrum.imag)
-        self._scales.train(self._scales.sample(frame, self._position, self._base, self._scale))
+        self._scales.train(frame, self._position, self._scale)
         denominators = np.stack([energy[b].sum(axis=0) for b in BLOCKS])
         return (self._label * spectrum).conj() / cells, denominators / cells
-
-    def _follow_scale(self, frame: Image) -> None:
-        sample = self._scales.sample(frame, self._position, self._base, self._scale)
-        factor = float(self._scales.factors[self._scales.detect(sample)])
-        self._scale = clamp_scale(self._scale * factor, self._limits)
-        self._areas = self._areas_of(round_half_away(self._base * self._scale))
 
     def _remember(self, boxes: FloatArray, mean_side: float) -> None:
         """Keep the experts' boxes ``(7, 4)`` and how smoothly each moved (section 3.3)."""

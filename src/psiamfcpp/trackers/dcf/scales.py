@@ -17,9 +17,12 @@ from psiamfcpp.geometry import FloatArray, Image
 from psiamfcpp.trackers.dcf import resizing
 from psiamfcpp.trackers.dcf.features import Float, fhog_many
 from psiamfcpp.trackers.dcf.fourier import Spectrum, hann, offsets
-from psiamfcpp.trackers.dcf.geometry import Size, cut, whole
+from psiamfcpp.trackers.dcf.geometry import Size, clamp_scale, cut, whole
 
 CELL = 4
+Limits = tuple[float, float]
+"""smallest and largest scale factor"""
+NO_LIMITS: Limits = (0.0, math.inf)
 
 
 def powers(step: float, exponents: ArrayLike) -> FloatArray:
@@ -69,17 +72,26 @@ class ScaleConstants:
     scale_model_max_area: float = 512
 
 
+# Of ARCF-HC, which AutoTrack took over.
+ARCF_SCALES = ScaleConstants(scale_step=1.03, scale_sigma=33**0.5 / 2, scale_lambda=1e-4)
+
+
 class ScaleFilter:
     """DSST's scale filter (section 3.2), as Staple, MCCT, ARCF and AutoTrack use it.
 
     Args:
         constants: its constants.
-        size: rows and columns that decide the model's size.
+        size: rows and columns of the target at scale factor 1, not rounded.
+        limits: of the scale factor.
+        model_of: rows and columns that decide the model's size; by default the same.
     """
 
-    def __init__(self, constants: ScaleConstants, size: ArrayLike):
+    def __init__(
+        self, constants: ScaleConstants, size: ArrayLike, limits: Limits = NO_LIMITS, model_of: ArrayLike | None = None
+    ):
         c = self.constants = constants
-        self.model = model_size(size, c.scale_model_max_area)
+        self._size, self._limits = np.asarray(size, np.float64), limits
+        self.model = model_size(self._size if model_of is None else model_of, c.scale_model_max_area)
         middle = (c.num_scales + 1) // 2
         steps = np.arange(1, c.num_scales + 1) - middle
         self.factors = powers(c.scale_step, -steps)
@@ -91,28 +103,34 @@ class ScaleFilter:
         self._numerator: Spectrum | None = None
         self._denominator: FloatArray | None = None
 
-    def columns(
-        self, image: Image, position: ArrayLike, size: ArrayLike, which: slice = slice(None), scale: float = 1.0
-    ) -> Float:
+    def columns(self, image: Image, position: ArrayLike, scale: float, which: slice = slice(None)) -> Float:
         """Features ``(n, values)`` of some of the scales, not windowed.
 
         Args:
             image: ``(H, W, 3)`` uint8, BGR.
             position: row and column, 1-based.
-            size: rows and columns of the target at scale factor 1, not rounded.
-            which: of the factors.
             scale: scale factor of the target.
+            which: of the factors.
         """
         # The order of the products decides where floor falls: a size may be whole.
-        sizes = np.floor(np.asarray(size, np.float64) * (scale * self.factors[which, None]))
+        sizes = np.floor(self._size * (scale * self.factors[which, None]))
         return patch_features(image, position, np.maximum(sizes, 2), self.model)
 
-    def sample(self, image: Image, position: ArrayLike, size: ArrayLike, scale: float = 1.0) -> Float:
-        """The windowed sample ``(scales, values)``; see `columns`."""
-        return self.columns(image, position, size, scale=scale) * self.window
+    def follow(self, image: Image, position: ArrayLike, scale: float) -> float:
+        """The scale factor of the target about a position (row, column, 1-based), given the one before."""
+        best = self.detect(self.columns(image, position, scale) * self.window)
+        return self.times(scale, best)
 
-    def train(self, sample: Float) -> None:
-        """Blend a windowed sample into the filter."""
+    def times(self, scale: float, index: int) -> float:
+        """The scale factor times the factor of this index, within the limits."""
+        return clamp_scale(scale * self.factors[index], self._limits)
+
+    def train(self, image: Image, position: ArrayLike, scale: float) -> None:
+        """Blend the sample about a position (row, column, 1-based) at a scale factor into the filter."""
+        self.blend(self.columns(image, position, scale) * self.window)
+
+    def blend(self, sample: Float) -> None:
+        """Blend a windowed sample ``(scales, values)`` into the filter."""
         spectrum = scipy.fft.rfft(sample, axis=0, workers=1)
         numerator = self._label * spectrum.conj()
         denominator = np.square(np.abs(spectrum)).sum(axis=1)
@@ -161,14 +179,20 @@ class FastScaleFilter:
     Args:
         constants: its constants.
         size: rows and columns of the target at scale 1.
+        limits: of the scale factor.
         model_of: rows and columns that decide the model's size; by default the same.
     """
 
-    def __init__(self, constants: FastScaleConstants, size: ArrayLike, model_of: ArrayLike | None = None):
+    def __init__(
+        self,
+        constants: FastScaleConstants,
+        size: ArrayLike,
+        limits: Limits = NO_LIMITS,
+        model_of: ArrayLike | None = None,
+    ):
         c = self.constants = constants
-        self._size = np.asarray(size, np.float64)
-        shape = self._size if model_of is None else model_of
-        self.model = model_size(shape, c.scale_model_max_area, c.smallest_side)
+        self._size, self._limits = np.asarray(size, np.float64), limits
+        self.model = model_size(self._size if model_of is None else model_of, c.scale_model_max_area, c.smallest_side)
         n, fine = c.number_of_scales, c.number_of_interp_scales
         ring = offsets(n) * fine / n
         self.factors = powers(c.scale_step, np.sort(ring))
@@ -202,8 +226,11 @@ class FastScaleFilter:
         energy = np.square(np.abs(self._spectrum(np.asarray(np.linalg.qr(sample.T, mode="r"))))).sum(axis=0)
         self._denominator: Float = energy if first else self._denominator + rate * (energy - self._denominator)
 
-    def detect(self, image: Image, position: ArrayLike, scale: float) -> float:
-        """The factor by which the target at a position (row, column, 1-based) differs from the scale factor."""
+    def follow(self, image: Image, position: ArrayLike, scale: float) -> float:
+        """The scale factor of the target about a position (row, column, 1-based), given the one before."""
+        return clamp_scale(scale * self._factor(image, position, scale), self._limits)
+
+    def _factor(self, image: Image, position: ArrayLike, scale: float) -> float:
         c, fine = self.constants, self.constants.number_of_interp_scales
         spectrum = self._spectrum(self._basis.T @ self._sample(image, position, scale).T)
         response = (self._numerator * spectrum).sum(axis=0) / (self._denominator + np.float32(c.scale_lambda))

@@ -33,24 +33,33 @@ class Areas:
     factor: float
     """normal pixels per pixel of the frame"""
 
-    @classmethod
-    def of(cls, target: FloatArray, frame: ArrayLike, fixed_area: float, padding: float, inner: float) -> Areas:
-        """Areas of a target.
 
-        Args:
-            target: its whole rows and columns.
-            frame: rows and columns of the frame; a background that exceeds it becomes smaller by one pixel.
-            fixed_area: normal pixels of the background.
-            padding: background about the target, in mean sides.
-            inner: rim of the target that is no foreground, in mean sides.
-        """
-        mean, frame = float(target.mean()), np.asarray(frame, np.float64)
-        background = round_half_away(target + padding * mean)
+@dataclass(frozen=True)
+class Rule:
+    """How large the areas about a target are.
+
+    Attributes:
+        frame: rows and columns of the frame; a background that exceeds it becomes smaller by one pixel.
+        fixed_area: normal pixels of the background.
+        padding: background about the target, in mean sides.
+        inner: rim of the target that is no foreground, in mean sides.
+    """
+
+    frame: tuple[int, ...]
+    fixed_area: float
+    padding: float
+    inner: float
+
+    def areas(self, size: FloatArray) -> Areas:
+        """Areas of a target of these rows and columns, which are rounded."""
+        target = np.maximum(round_half_away(size), 1)
+        mean, frame = float(target.mean()), np.asarray(self.frame, np.float64)
+        background = round_half_away(target + self.padding * mean)
         background = np.where(background > frame, frame - 1, background)
         background = np.maximum(background - np.mod(background - target, 2), 2)
-        foreground = round_half_away(target - inner * mean)
+        foreground = round_half_away(target - self.inner * mean)
         foreground = foreground + np.mod(background - foreground, 2)
-        return cls(target, background, foreground, float(np.sqrt(fixed_area / np.prod(background))))
+        return Areas(target, background, foreground, float(np.sqrt(self.fixed_area / np.prod(background))))
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,6 @@ from psiamfcpp.trackers.dcf import staple
 from psiamfcpp.trackers.dcf.features import HOG_CHANNELS, Float, fhog_many
 from psiamfcpp.trackers.dcf.fourier import Real, Spectrum, argmax2, hann2, irfft2, rfft2
 from psiamfcpp.trackers.dcf.geometry import (
-    clamp_scale,
     position_and_size,
     resize_auto,
     round_half_away,
@@ -48,8 +47,8 @@ class StapleCa:
         self._constants = c = constants
         corner, size = position_and_size(box)
         self._position, self._base, self._scale = corner + size / 2, round_half_away(size), 1.0
-        self._frame_size = np.array(frame.shape[:2])
-        self._areas = self._areas_of(self._base)
+        self._rule = staple.Rule(frame.shape[:2], c.fixed_area, 1, c.inner_padding)
+        self._areas = self._rule.areas(self._base)
         n = self._normal = staple.Normal.of(self._areas)
         radius = int(np.floor((np.array(n.background) - n.target) / 2).min())
         self._side = 2 * radius + 1
@@ -59,8 +58,8 @@ class StapleCa:
         sigma = np.sqrt(np.prod(n.target)) * c.output_sigma_factor / staple.CELL
         self._label = rfft2(staple.label(n.cells, sigma).astype(np.float32))
         self._hann = hann2(n.cells).astype(np.float32)
-        self._limits = scale_limits(c.scale.scale_step, self._areas.background, self._base, self._frame_size)
-        self._scales = ScaleFilter(c.scale, n.target)
+        limits = scale_limits(c.scale.scale_step, self._areas.background, self._base, frame.shape[:2])
+        self._scales = ScaleFilter(c.scale, self._base, limits, model_of=n.target)
         self._colours = staple.Histograms()
         self._numerator, self._denominator = self._train(frame)
 
@@ -80,26 +79,20 @@ class StapleCa:
         # The authors' boxes have the size before this frame's change of scale.
         size = self._areas.target
         found = to_box(self._position - size / 2, size)
-        sample = self._scales.sample(frame, self._position, self._base, self._scale)
-        factor = float(self._scales.factors[self._scales.detect(sample)])
-        self._scale = clamp_scale(self._scale * factor, self._limits)
-        self._areas = self._areas_of(round_half_away(self._base * self._scale))
+        self._scale = self._scales.follow(frame, self._position, self._scale)
+        self._areas = self._rule.areas(self._base * self._scale)
         numerator, denominator = self._train(frame)
         rate = np.float32(c.learning_rate_cf)
         self._numerator += rate * (numerator - self._numerator)
         self._denominator += rate * (denominator - self._denominator)
         return found, response
 
-    def _areas_of(self, target: FloatArray) -> staple.Areas:
-        c = self._constants
-        return staple.Areas.of(np.maximum(target, 1), self._frame_size, c.fixed_area, 1, c.inner_padding)
-
     def _train(self, frame: Image) -> tuple[Spectrum, Float]:
         """Train colours and scales; numerator and denominator of the filter for this frame (section 3)."""
         c = self._constants
         spectra, patches = self._spectra(frame, self._around)
         self._colours.update(patches[0], self._areas, c.learning_rate_pwp)
-        self._scales.train(self._scales.sample(frame, self._position, self._base, self._scale))
+        self._scales.train(frame, self._position, self._scale)
         # The denominator is summed over the channels, its regulariser too.
         energy = (np.square(spectra.real) + np.square(spectra.imag)).sum(axis=1)
         denominator = energy[0] + np.float32(c.lambda_2) * energy[1:].sum(axis=0) + np.float32(CHANNELS * c.lambda_1)
