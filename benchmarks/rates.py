@@ -1,6 +1,6 @@
 """Rates of the correlation filters beside OpenCV's TrackerMIL and NanoTrack, in the same rounds.
 
-    python benchmarks/rates.py --root SEQUENCES [SEQUENCES ...] --sequences wakeboard7 building5 \\
+    python benchmarks/rates.py --root SEQUENCES [SEQUENCES ...] --sequences NAME [NAME ...]
         [--beside opencv:mil nanotrack:v3,backbone=FILE,head=FILE]
 
 Every frame is decoded once and given to each tracker in turn, so that whatever else the machine does falls on all

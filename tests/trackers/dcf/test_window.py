@@ -52,8 +52,7 @@ def test_extreme_targets_keep_at_least_one_cell_inside_the_window(size):
 
 def test_label_peaks_at_zero_shift_and_widens_with_the_target():
     narrow, wide = (
-        window.WindowConstants().window(np.array([s, s], float)).label(f)
-        for s, f in ((40, 1 / 16), (40, 1 / 8))
+        window.WindowConstants().window(np.array([s, s], float)).label(f) for s, f in ((40, 1 / 16), (40, 1 / 8))
     )
     assert np.unravel_index(narrow.argmax(), narrow.shape) == (0, 0)
     assert narrow.max() == 1

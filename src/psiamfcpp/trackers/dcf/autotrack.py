@@ -42,9 +42,10 @@ class AutoTrackConstants(WindowConstants):
 class AutoTrack:
     """STRCF's filter whose spatial and temporal weights follow the change of the response between two frames.
 
-    The authors' boxes are met for most frames, not all. Over 44 frames with their positions fed in, 24 of 295 moves
-    round otherwise, by hundredths of a pixel. Double precision, full spectra, exact roots in fHOG, their integral images
-    and the other published form of `_temporal` change that no further. Where two peaks are nearly equal it decides.
+    Most of the authors' boxes are met, not all. With their positions fed in over 44 frames, 24 of 295 moves round
+    otherwise, most by less than a tenth of a pixel. Double precision, full spectra, exact roots in fHOG, sums by
+    integral images and the other published form of `_temporal` bring none nearer. Where two peaks are nearly equal,
+    so little decides.
     """
 
     def __init__(self, frame: Image, box: Box, constants: AutoTrackConstants):
