@@ -99,7 +99,7 @@ def test_everything_is_run_scored_and_written(done: Reproduced, tmp_path: Path) 
     ours = line(done.tables[1], "P-SiamFC++")
     assert ours[:5] == ["78.8", "got10k", "46.1", "100.0", "100.0"]
     # A miniature is not the benchmark, so no difference is stated.
-    assert ours[6] == "\u2013"
+    assert ours[7] == "\u2013"
     assert "Not the whole benchmark: UAV123@10fps (1 of 123 sequences)" in done.tables[1].caption
     published, otb, got10k = (line(done.tables[3], "SiamFC++", i) for i in range(3))
     assert published[2:5] == ["72.8", "29.0", "212.1"]

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 import re
+import shutil
+import subprocess
 from pathlib import Path
 from typing import Any
 
@@ -54,17 +56,18 @@ def cells(found: Reproduction, table: int, name: str, place: int = 0) -> list[st
 
 
 def test_averages_stand_beside_the_papers_with_their_difference(four: Reproduction) -> None:
-    assert cells(four, 1, "KCF") == ["53.3", "otb", "622.5", "50.0", "50.0", "301.5", "-3.3", ""]
-    assert cells(four, 1, "P-SiamFC++")[6] == "-3.8"
-    assert cells(four, 1, "STRCF")[3:] == ["\u2013"] * 4 + ["not measured"]
+    auc = f"{100 * four.comparisons[0].measured[0].mean['otb'].figures['auc']:.1f}"
+    assert cells(four, 1, "KCF") == ["53.3", "otb", "622.5", "50.0", "50.0", auc, "301.5", "-3.3", ""]
+    assert cells(four, 1, "P-SiamFC++")[7] == "-3.8"
+    assert cells(four, 1, "STRCF")[3:] == ["\u2013"] * 5 + ["not measured"]
 
 
 def test_a_difference_needs_the_same_benchmarks_whole(four: Reproduction) -> None:
     three = dataclasses.replace(four, comparisons=four.comparisons[:3])
-    assert cells(three, 1, "KCF")[6:] == ["\u2013", "over UAV123@10fps, DTB70, UAVDT only"]
+    assert cells(three, 1, "KCF")[7:] == ["\u2013", "over UAV123@10fps, DTB70, UAVDT only"]
     cut = dataclasses.replace(four.comparisons[0], sequences=["s0"])
     partial = dataclasses.replace(four, comparisons=[cut, *four.comparisons[1:]])
-    assert cells(partial, 1, "KCF")[6] == "\u2013"
+    assert cells(partial, 1, "KCF")[7] == "\u2013"
     assert "UAV123@10fps (1 of 123 sequences)" in tables(partial)[1].caption
 
 
@@ -140,3 +143,19 @@ def test_every_latex_row_has_as_many_cells_as_the_table_has_columns(four: Reprod
     ]
     assert {row.count("&") + 1 + span for row, span in zip(rows, spans, strict=True)} == {len(columns)}
     assert text.count("{") == text.count("}")
+
+
+@pytest.mark.slow
+def test_the_tables_compile_with_latex_and_fit_the_page(four: Reproduction, tmp_path: Path) -> None:
+    if shutil.which("pdflatex") is None:
+        pytest.skip("pdflatex is not installed")
+    from psiamfcpp.report.reproduction_page import latex_document
+
+    made = tables(four)
+    text = latex_document([as_latex(table, f"reproduced-{i}") for i, table in made.items()])
+    (tmp_path / "tables.tex").write_text(text)
+    command = ["pdflatex", "-interaction=nonstopmode", "-halt-on-error", "tables.tex"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=300, check=False)
+    assert done.returncode == 0, done.stdout[-2000:]
+    assert (tmp_path / "tables.pdf").read_bytes().startswith(b"%PDF")
+    assert "Overfull" not in done.stdout

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -102,3 +103,18 @@ def test_wrong_strings_are_refused_in_one_line(entry: str, message: str) -> None
 def test_every_kind_refuses_what_it_does_not_have(kind: str) -> None:
     with pytest.raises(UserError):
         open_tracker(f"{kind}:no-such-tracker")
+
+
+def test_what_decides_a_workers_boxes_is_known_without_starting_it(tmp_path: Path) -> None:
+    started = tmp_path / "started"
+    script = tmp_path / "worker.py"
+    script.write_text(f"open({str(started)!r}, 'w')")
+    choice = choose(f"trax:{sys.executable} {script}")
+    before = choice.identity()
+    assert before == {"kind": "trax", "command": before["command"]} and len(before["command"]) == 2
+    script.write_text(script.read_text() + "\n")
+    assert choice.identity() != before
+    assert not started.exists()
+    with pytest.raises(UserError, match="worker"):
+        choice.open()
+    assert started.exists()

@@ -84,7 +84,7 @@ def run(
     pending = [Job(c, folder, s) for c, folder in folders.items() for s in sequences if not is_done(folder, s)]
     for choice in {job.choice: None for job in pending}:
         # before anything is written: a tracker that cannot be opened leaves nothing behind
-        choice.open()
+        choice.open().close()
     for choice, folder in folders.items():
         new = any(job.choice == choice for job in pending)
         before = earlier[choice]

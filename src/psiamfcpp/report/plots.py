@@ -166,17 +166,21 @@ def overlap_over_time(comparison: Comparison, sequence: str, truth: FloatArray, 
 def as_files(figure: Figure) -> dict[str, bytes]:
     """Return the contents of a PNG, an SVG and a PDF file of a figure, by suffix; equal figures give equal files."""
     import matplotlib
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.backends.backend_pdf import FigureCanvasPdf
+    from matplotlib.backends.backend_svg import FigureCanvasSVG
 
-    files = {}
+    files = {kind: io.BytesIO() for kind in ("png", "svg", "pdf")}
     with matplotlib.rc_context(_STYLE):
         # The layout is the same for every file.
         figure.draw_without_rendering()
         figure.set_layout_engine("none")
-        for kind, metadata in (("png", {}), ("svg", {"Date": None}), ("pdf", {"CreationDate": None})):
-            buffer = io.BytesIO()
-            figure.savefig(buffer, format=kind, dpi=200, metadata=metadata)
-            files[kind] = buffer.getvalue()
-    return files
+        figure.set_dpi(200)
+        # `savefig` would draw each file twice.
+        FigureCanvasAgg(figure).print_png(files["png"])
+        FigureCanvasSVG(figure).print_svg(files["svg"], metadata={"Date": None})
+        FigureCanvasPdf(figure).print_pdf(files["pdf"], metadata={"CreationDate": None})
+    return {kind: buffer.getvalue() for kind, buffer in files.items()}
 
 
 def _figure(height: float, projection: str | None = None) -> tuple[Figure, Axes]:

@@ -45,7 +45,7 @@ def write_reproduction(
     for number, table in tables.items():
         files[f"table{number}.csv"] = as_csv(table)
         files[f"table{number}.tex"] = as_latex(table, f"reproduced-{number}")
-    files["tables.tex"] = _document([str(files[f"table{number}.tex"]) for number in tables])
+    files["tables.tex"] = latex_document([str(files[f"table{number}.tex"]) for number in tables])
     svgs: dict[str, bytes] = {}
     styles = plots.colours(list(found.comparisons))
     for c in found.comparisons:
@@ -107,7 +107,8 @@ def _shown(found: Reproduction, comparison: Comparison) -> list[Measured]:
     return [*([pruned] if pruned else []), *others[:4]]
 
 
-def _document(tables: Sequence[str]) -> str:
+def latex_document(tables: Sequence[str]) -> str:
     """Return a LaTeX document of tables, which compiles by itself."""
-    head = [r"\documentclass{article}", r"\usepackage{booktabs}", r"\usepackage{graphicx}", r"\begin{document}"]
+    packages = [r"\usepackage[a4paper,landscape,margin=2cm]{geometry}", r"\usepackage{booktabs}", r"\usepackage{graphicx}"]
+    head = [r"\documentclass{article}", *packages, r"\begin{document}"]
     return "\n".join([*head, *tables, r"\end{document}", ""])

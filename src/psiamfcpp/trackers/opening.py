@@ -45,6 +45,8 @@ class Kind(NamedTuple):
     """has ``open_tracker(name, options) -> Tracker``"""
     threads: bool = False
     """``open_tracker`` takes ``threads`` among the options"""
+    worker: bool = False
+    """opening starts a process; ``identity(name, options)`` says what decides the boxes without it"""
 
 
 KINDS: dict[str, Kind] = {
@@ -52,8 +54,8 @@ KINDS: dict[str, Kind] = {
     "dcf": Kind("psiamfcpp.trackers.dcf"),
     "nanotrack": Kind("psiamfcpp.trackers.nanotrack", threads=True),
     "module": Kind("psiamfcpp.trackers.foreign"),
-    "adapter": Kind("psiamfcpp.trackers.trax.adapter", threads=True),
-    "trax": Kind("psiamfcpp.trackers.trax.client", threads=True),
+    "adapter": Kind("psiamfcpp.trackers.trax.adapter", threads=True, worker=True),
+    "trax": Kind("psiamfcpp.trackers.trax.client", threads=True, worker=True),
 }
 
 _MODEL = "model"
@@ -102,8 +104,11 @@ class TrackerChoice:
         """Return what decides the boxes; threads do not, nor does the folder that a model lies in.
 
         Raises:
-            UserError: see `open`; trackers other than models are opened to ask them.
+            UserError: see `open`; trackers other than models and workers are opened to ask them.
         """
+        kind = KINDS.get(self.kind)
+        if kind is not None and kind.worker:
+            return dict(importlib.import_module(kind.module).identity(self.entry, dict(self.given)))
         if self.kind == _MODEL:
             path = Path(self.entry)
             return model_identity(path.stem if path.is_file() else path.name, self.checksum, self.options)

@@ -42,11 +42,8 @@ def open_adapter(name: str, options: Mapping[str, str], threads: int | None = No
     Raises:
         UserError: unknown name, a missing option or file, or a worker that cannot start.
     """
-    script, facts = _script(name), adapters()[name]
-    files = adapter_files(name, options)
-    device = options.get("device", "cpu")
-    if device not in ("cpu", "cuda"):
-        raise UserError(f"device {device!r} of adapter:{name} is unknown: give cpu or cuda")
+    what = identity(name, options)
+    script, facts, device = _script(name), adapters()[name], what["device"]
     python = options.get("python", sys.executable)
     if shutil.which(python) is None:
         raise UserError(f"python {python} of adapter:{name} does not exist: give the interpreter of {facts['name']}")
@@ -54,27 +51,39 @@ def open_adapter(name: str, options: Mapping[str, str], threads: int | None = No
     command = [python, str(script), "--checkout", options["checkout"], "--device", device, "--threads", count]
     if options["weights"] != RANDOM:
         command += ["--weights", options["weights"]]
-    own = {key: value for key, value in options.items() if key not in _OURS}
-    for key, value in own.items():
+    for key, value in _own(options).items():
         command += ["--set", f"{key}={Path(value).resolve() if Path(value).is_file() else value}"]
-    identity = {
-        "kind": "adapter",
-        "tracker": name,
-        "commit": facts["commit"],
-        "device": device,
-        "options": {key: Path(value).name if Path(value).is_file() else value for key, value in sorted(own.items())},
-        "checksum": _checksum([script, *_helpers(), *files]),
-    }
     return TraxTracker(
         command,
         name,
-        identity,
+        what,
         label=f"adapter:{name}",
         environment={"OMP_NUM_THREADS": count, "MKL_NUM_THREADS": count},
         frame_seconds=_seconds(name, options),
         start_seconds=START_SECONDS,
         reuse=True,
     )
+
+
+def identity(name: str, options: Mapping[str, str]) -> dict[str, Any]:
+    """Return the identity of ``adapter:NAME,...`` without starting it.
+
+    Raises:
+        UserError: unknown name, or a missing option or file.
+    """
+    files = adapter_files(name, options)
+    device = options.get("device", "cpu")
+    if device not in ("cpu", "cuda"):
+        raise UserError(f"device {device!r} of adapter:{name} is unknown: give cpu or cuda")
+    shown = {key: Path(value).name if Path(value).is_file() else value for key, value in sorted(_own(options).items())}
+    return {
+        "kind": "adapter",
+        "tracker": name,
+        "commit": adapters()[name]["commit"],
+        "device": device,
+        "options": shown,
+        "checksum": _checksum([_script(name), *_helpers(), *files]),
+    }
 
 
 def open_tracker(name: str, options: Mapping[str, str]) -> TraxTracker:
@@ -101,7 +110,7 @@ def adapter_files(name: str, options: Mapping[str, str]) -> list[Path]:
         files = [Path(options["weights"])]
     else:
         raise UserError(f"weights {options['weights']} of adapter:{name} do not exist: fetch {facts['weights']}")
-    return files + [Path(value) for key, value in options.items() if key not in _OURS and Path(value).is_file()]
+    return files + [Path(value) for value in _own(options).values() if Path(value).is_file()]
 
 
 @cache
@@ -160,6 +169,11 @@ def _absent_modules(python: str, modules: tuple[str, ...]) -> list[str]:
     except (OSError, subprocess.SubprocessError):
         return list(modules)
     return done.stdout.split()
+
+
+def _own(options: Mapping[str, str]) -> dict[str, str]:
+    """Return the options that go to the adapter."""
+    return {key: value for key, value in options.items() if key not in _OURS}
 
 
 def _script(name: str) -> Path:

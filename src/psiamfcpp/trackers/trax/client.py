@@ -58,11 +58,10 @@ def open_trax(
     words = _words(command)
     libraries = ("OMP", "MKL", "OPENBLAS", "NUMEXPR")
     environment = {} if threads is None else {f"{library}_NUM_THREADS": str(threads) for library in libraries}
-    identity = {"kind": "trax", "command": [_nameless(word) for word in words]}
     return TraxTracker(
         words,
         name or trax_name(command),
-        identity,
+        identity(command, {}),
         label=_shortened(f"trax:{command}"),
         environment=environment,
         frame_seconds=frame_seconds,
@@ -73,6 +72,15 @@ def open_trax(
 def open_tracker(name: str, options: Mapping[str, str]) -> TraxTracker:
     """Open ``trax:COMMAND``; the only option is ``threads``."""
     return open_trax(name, threads=int(options["threads"]) if "threads" in options else None)
+
+
+def identity(name: str, options: Mapping[str, str]) -> dict[str, Any]:
+    """Return the identity of ``trax:COMMAND`` without starting it: of files that it names, the content.
+
+    Raises:
+        UserError: the command cannot be read.
+    """
+    return {"kind": "trax", "command": [_nameless(word) for word in _words(name)]}
 
 
 def trax_name(command: str) -> str:
