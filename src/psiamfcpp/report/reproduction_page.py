@@ -109,6 +109,6 @@ def _shown(found: Reproduction, comparison: Comparison) -> list[Measured]:
 
 def latex_document(tables: Sequence[str]) -> str:
     """Return a LaTeX document of tables, which compiles by itself."""
-    packages = [r"\usepackage[a4paper,landscape,margin=2cm]{geometry}", r"\usepackage{booktabs}", r"\usepackage{graphicx}"]
-    head = [r"\documentclass{article}", *packages, r"\begin{document}"]
+    page = r"\usepackage[a4paper,landscape,margin=2cm]{geometry}"
+    head = [r"\documentclass{article}", page, r"\usepackage{booktabs,graphicx}", r"\begin{document}"]
     return "\n".join([*head, *tables, r"\end{document}", ""])
