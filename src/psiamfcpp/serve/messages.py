@@ -68,7 +68,7 @@ class Target(BaseModel):
     id: int
     box: Box = Field(description="x, y, w, h in pixels of the frame, 0-based")
     score: float | None = Field(
-        description="of our models, the calibrated probability that the target is in the box, 0..1; of others, their own"
+        description="of our models, the calibrated probability that the target is in the box; of others, their own"
     )
     state: Literal["tracking", "unsure", "lost"] | None = Field(description="null with a tracker that states none")
     bearing: Bearing | None = Field(None, description="only with --fov")
