@@ -17,6 +17,7 @@ from psiamfcpp import TargetPool
 from psiamfcpp.geometry import centre_error
 from psiamfcpp.serve.control import Control
 from psiamfcpp.serve.follower import Follower
+from psiamfcpp.trackers import TargetPool
 
 from .conftest import BLOB, HEIGHT, TIMEOUT_S, WIDTH, Stream, ask, browse, later, live, served, state, until
 
@@ -197,3 +198,18 @@ def test_numbers_in_the_state_are_finite(http: httpx.Client) -> None:
     # NaN and infinities would come as words that JSON has not
     told = json.loads(http.get("/api/state").text, parse_constant=refuse)
     assert isinstance(told["fps"], float) and math.isfinite(told["fps"])
+
+
+@pytest.mark.parametrize("tracker", ["opencv:mil", "dcf:kcf"])
+def test_trackers_that_state_nothing_are_served(stream: Stream, tracker: str) -> None:
+    if tracker.startswith("dcf"):
+        pytest.importorskip("numba")
+    stream.blobs = [BLOB, (520, 380, 30, 40)]
+    with Follower(stream.open, TargetPool(tracker)) as follower:
+        until(lambda: follower.newest)
+        with served(Control(follower)) as address, browse(address) as http:
+            for box in stream.blobs:
+                assert http.post("/api/targets", json={"box": box}).status_code == 201
+            told = until(lambda: len(found := http.get("/api/state").json()["targets"]) == 2 and found)
+            assert [(target["id"], target["state"]) for target in told] == [(1, None), (2, None)]
+            assert np.abs(np.array([target["box"] for target in told]) - stream.blobs).max() < 20

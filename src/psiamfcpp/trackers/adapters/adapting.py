@@ -52,7 +52,7 @@ def adapt_torch(device: str) -> None:
 
     * Weights files are pickles of the authors; since torch 2.6 `torch.load` refuses them by itself.
     * ``torchvision.models.resnet.model_urls`` is gone since torchvision 0.13; only pre-training used it.
-    * ``torch._six`` is gone since torch 1.13.
+    * ``torch._six`` is gone since torch 1.13, ``collections.Iterable`` and its like since Python 3.10.
     * ``torch.rfft`` and ``torch.irfft`` are gone since torch 1.8.
     * Nothing is fetched: weights come from the user's file.
     * Without a GPU, ``.cuda()`` and ``.to("cuda")`` stay on the CPU.
@@ -81,6 +81,9 @@ def adapt_torch(device: str) -> None:
         resnet = None
     if resnet is not None and not hasattr(resnet, "model_urls"):
         resnet.model_urls = dict.fromkeys(("resnet18", "resnet34", "resnet50", "resnet101", "resnet152"), "weights")
+    for name in collections.abc.__all__:
+        if not hasattr(collections, name):
+            setattr(collections, name, getattr(collections.abc, name))
     if importlib.util.find_spec("torch._six") is None:
         six = types.ModuleType("torch._six")
         six.container_abcs, six.string_classes, six.int_classes = collections.abc, (str, bytes), int
