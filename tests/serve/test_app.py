@@ -13,7 +13,6 @@ import httpx
 import numpy as np
 import pytest
 
-from psiamfcpp import TargetPool
 from psiamfcpp.geometry import centre_error
 from psiamfcpp.serve.control import Control
 from psiamfcpp.serve.follower import Follower
