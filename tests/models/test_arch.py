@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import pickle
 import sys
 import types
 from pathlib import Path
@@ -204,6 +205,16 @@ def test_layers_of_any_architecture_can_be_thawed(shallow: ModelSpec) -> None:
     assert Schedule(unfreeze=dict(shallow.arch.unfreeze)).free(0) == frozenset()
     with pytest.raises(UserError, match="layers are conv1, conv2"):
         Schedule(unfreeze={"conv9": 0.5})
+
+
+@pytest.mark.parametrize("name", ARCHITECTURES)
+def test_tables_travel_to_other_processes(name: str) -> None:
+    again = pickle.loads(pickle.dumps(architecture(name)))
+    assert (again.layers, again.groups, again.sizes) == (
+        architecture(name).layers,
+        architecture(name).groups,
+        architecture(name).sizes,
+    )
 
 
 def test_pixels_are_what_the_first_layer_reads() -> None:

@@ -97,6 +97,12 @@ LAYERS = (
     *(row for name, (maps, last) in HEADS.items() for row in _head(name, "fusion.join", maps, last)),
 )
 
+
+def _context(width: float, height: float) -> float:
+    """Return the side of the template crop's square in the frame; named, since loaders in other processes receive it."""
+    return 2 * math.sqrt(width * height)
+
+
 ARCHITECTURE = Architecture(
     layers=LAYERS,
     network="psiamfcpp.models.lightfc:LightFC",
@@ -107,6 +113,6 @@ ARCHITECTURE = Architecture(
     search_size=256,
     sizes=(256,),
     stride=16,
-    context=lambda width, height: 2 * math.sqrt(width * height),
+    context=_context,
     edge=0.0,
 )
