@@ -3,6 +3,7 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import math
+import pickle
 from collections import Counter
 from pathlib import Path
 
@@ -17,6 +18,7 @@ from psiamfcpp.datasets import Sequence
 from psiamfcpp.datasets.frames import FrameStore, video_frames
 from psiamfcpp.errors import UserError
 from psiamfcpp.images import read_image
+from psiamfcpp.models.arch import ARCHITECTURES, architecture
 from psiamfcpp.training.options import PairOptions
 from psiamfcpp.training.pairs import ImageCache, Jitter, Pair, PairSampler, box_in_crop, crop_map
 
@@ -437,3 +439,12 @@ def test_pairs_of_a_video_are_those_of_its_frames(tmp_path: Path, draw):
         a, b = PairSampler([images], PLAIN).pair(i), PairSampler([video], PLAIN, store=store).pair(i)
         assert a.corners == b.corners
         assert np.abs(a.search.astype(int) - b.search).mean() < 12
+
+
+@pytest.mark.parametrize("name", ARCHITECTURES)
+def test_pairs_of_every_architecture_are_drawn_alike_in_another_process(scenes: list[Sequence], name: str) -> None:
+    arch = architecture(name)
+    sampler = PairSampler(scenes, PairOptions(search_size=arch.search_size), seed=3, arch=arch)
+    # what a loader process receives
+    again = pickle.loads(pickle.dumps(sampler))
+    assert equal(again.pair(5), sampler.pair(5))

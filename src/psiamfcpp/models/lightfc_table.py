@@ -99,7 +99,7 @@ LAYERS = (
 
 
 def _context(width: float, height: float) -> float:
-    """Return the side of the template crop's square in the frame; named, since loaders in other processes receive it."""
+    """Return the side of the template crop in the frame; named, since loaders in other processes receive it."""
     return 2 * math.sqrt(width * height)
 
 

@@ -105,8 +105,13 @@ def _middle(size: int) -> float:
     return (size - 1) / 2
 
 
+def _black(frame: Image) -> tuple[float, float, float]:
+    """Return the colour beyond the frame; named, since loaders in other processes receive it."""
+    return (0.0, 0.0, 0.0)
+
+
 PROCEDURE = Procedure(
-    fill=lambda frame: (0.0, 0.0, 0.0),
+    fill=_black,
     crop=crop,
     zoom=_zoom,
     middle=_middle,
