@@ -226,8 +226,11 @@ def attack(address: str, mavlink_port: int, refusals: dict[str, int]) -> None:
             with connect(f"ws://{address}/api/live", additional_headers=KNOWN, max_size=None) as client:
                 for _ in range(1000):
                     client.send(text)
-                while True:
+                # a server that is slow enough keeps up with the flood, and need not close
+                end = time.monotonic() + 10
+                while time.monotonic() < end:
                     client.recv(timeout=5)
+                count("socket kept")
         except (ConnectionClosed, TimeoutError) as gone:
             closing = getattr(gone, "rcvd", None)
             count(f"socket closed with {closing.code}" if closing else "socket ignored")
