@@ -1,7 +1,8 @@
-"""Make the moving image of the README from a video, such as the one that `psiamfcpp demo` writes.
+"""Make the moving image of the README from the clip that `psiamfcpp demo` writes.
 
     psiamfcpp demo
-    python docs/make_moving_image.py demo.mp4 -o docs/images/demo.webp
+    psiamfcpp track demo-clip.mp4 --box 584,326,68,41 --output followed.mp4 --no-fps
+    python docs/make_moving_image.py followed.mp4 -o docs/images/demo.webp
 
 Needs Pillow, which matplotlib installs.
 """
