@@ -1,11 +1,18 @@
-"""The pages: each is in the navigation, and each link leads to a file of the repository and to a heading in it."""
+"""The pages: the navigation holds each of them, links lead to files and headings, images are small."""
 
 from __future__ import annotations
 
+import importlib.util
 import re
 from pathlib import Path
+from types import ModuleType
 
 import pytest
+from PIL import Image
+
+from psiamfcpp.demo.clip import DemoFrame
+from psiamfcpp.errors import UserError
+from psiamfcpp.video.writer import VideoWriter
 
 ROOT = Path(__file__).parents[1]
 DOCS = sorted((ROOT / "docs").glob("**/*.md"))
@@ -50,3 +57,47 @@ def test_a_card_fits_one_screen_and_states_its_licence(card: Path) -> None:
     assert text.count("\n") <= SCREEN
     assert "**Licence.**" in text
     assert "research terms" in text
+
+
+def moving_image() -> ModuleType:
+    """The script that makes the README's image."""
+    spec = importlib.util.spec_from_file_location("make_moving_image", ROOT / "docs/make_moving_image.py")
+    assert spec
+    assert spec.loader
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_the_moving_image_shows_every_third_frame_at_the_pace_of_the_video(
+    tmp_path: Path, rendered_clip: list[DemoFrame], capsys: pytest.CaptureFixture[str]
+) -> None:
+    height, width = rendered_clip[0].image.shape[:2]
+    with VideoWriter(tmp_path / "demo.mp4", 30, (width, height)) as writer:
+        for shot in rendered_clip[:7]:
+            writer.write(shot.image)
+    moving_image().main(tmp_path / "demo.mp4", tmp_path / "demo.webp", width=160)
+    with Image.open(tmp_path / "demo.webp") as image:
+        assert (image.n_frames, image.size) == (3, (160, round(height * 160 / width)))
+        image.load()
+        assert image.info["duration"] == 100
+    assert "3 images" in capsys.readouterr().out
+
+
+def test_an_image_that_is_too_large_is_not_written(
+    tmp_path: Path, rendered_clip: list[DemoFrame], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    height, width = rendered_clip[0].image.shape[:2]
+    with VideoWriter(tmp_path / "demo.mp4", 30, (width, height)) as writer:
+        writer.write(rendered_clip[0].image)
+    script = moving_image()
+    monkeypatch.setattr(script, "LARGEST", 100)
+    with pytest.raises(UserError, match="more than 100: raise --every or lower --quality"):
+        script.main(tmp_path / "demo.mp4", tmp_path / "demo.webp")
+    assert not (tmp_path / "demo.webp").exists()
+
+
+def test_images_of_the_pages_are_small() -> None:
+    sizes = {path.name: path.stat().st_size for path in (ROOT / "docs/images").iterdir()}
+    assert sizes
+    assert max(sizes.values()) <= 3_000_000, sizes
