@@ -54,7 +54,7 @@ class TrackingConstants:
 
 @dataclass(frozen=True)
 class Calibration:
-    """How a score map becomes a confidence, and a confidence a state (docs/confidence.md).
+    """Turn a score map into a confidence, and the confidence into a state (docs/confidence.md).
 
     The confidence is ``sigmoid(bias + score_weight * logit(peak) + contrast_weight * log(peak / rest))``: the
     estimated probability that the target is where the peak says, fitted by `psiamfcpp calibrate`.

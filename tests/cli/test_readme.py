@@ -9,6 +9,8 @@ from pathlib import Path
 import pytest
 
 from psiamfcpp.cli import COMMANDS
+from psiamfcpp.cli.output import parse_box
+from psiamfcpp.demo.clip import render
 
 from .conftest import Run
 
@@ -83,3 +85,13 @@ def test_documented_commands_exist_with_their_options(run: Run, page: Path) -> N
         for word in words[1:]:
             if re.match(r"--?[a-z]", word):
                 assert word.split("=")[0] in known, f"{shown}: {word}"
+
+
+@pytest.mark.slow
+def test_the_readmes_box_is_that_of_the_demos_car() -> None:
+    shown = next(render(4, 300)).box
+    lines = re.findall(r"demo-clip\.mp4 --box (\S+)", (ROOT / "README.md").read_text())
+    python = re.findall(r"boxes = \[\(([\d, ]+)\)\]", (ROOT / "README.md").read_text())
+    assert len(lines) == len(python) == 1
+    for box in (lines[0], python[0]):
+        assert parse_box(box) == pytest.approx(shown, abs=0.5)

@@ -124,8 +124,8 @@ def test_neither_labels_nor_results_are_changed() -> None:
     ("truth", "result", "convention", "message"),
     [
         ([BOX] * 3, [BOX] * 2, "otb", r"results have shape \(2, 4\) but labels \(3, 4\)"),
-        (BOX, BOX, "otb", "one x,y,w,h a frame is needed"),
-        ([BOX[:3]], [BOX[:3]], "otb", "one x,y,w,h a frame is needed"),
+        (BOX, BOX, "otb", "one x,y,w,h per frame is needed"),
+        ([BOX[:3]], [BOX[:3]], "otb", "one x,y,w,h per frame is needed"),
         ([(NAN,) * 4] * 2, [BOX] * 2, "got10k", "no row has a label"),
     ],
 )

@@ -47,7 +47,7 @@ def serve(
         token: what clients must know; better given in the variable PSIAMFCPP_TOKEN, which other users cannot see.
         mavlink: udpout:HOST:PORT, udpin:HOST:PORT or serial:DEVICE[:BAUD], to be a MAVLink camera there.
         mavlink_system: MAVLink system of the vehicle.
-        fov: horizontal field of view of the camera in degrees; with it, bearings are told.
+        fov: horizontal field of view of the camera in degrees; with it, bearings are sent.
         record: folder for recordings, which clients begin and end.
         model: name of a shipped model, or a model file.
         tracker: any other tracker instead, as opencv:mil, dcf:kcf or module:pkg.mod:Class.
@@ -92,9 +92,9 @@ def serve(
 
 
 def _opener(path: str, source: str) -> Callable[[Callable[[str], None]], Source]:
-    def opened(tell: Callable[[str], None]) -> Source:
-        video = open_source(path, on_event=tell, reconnect_s=math.inf)
-        # where the demo was rendered to tells nobody anything
+    def opened(notify: Callable[[str], None]) -> Source:
+        video = open_source(path, on_event=notify, reconnect_s=math.inf)
+        # the path of the rendered demo says nothing to anybody
         return dataclasses.replace(video, name=source) if path != source else video
 
     return opened

@@ -33,7 +33,7 @@ def train(
         output: folder of the run: model.safetensors, state.pt, log.jsonl, curve.png.
         options: what decides the result.
         run: how it is carried out.
-        held_out_every: one video in so many, chosen by name, is kept out of training to validate with; 0 is none.
+        held_out_every: hold out one video in N for validation, chosen by a hash of its name; 0 holds out none.
         note: a line on the data for the model's provenance.
     """
     steps = options.schedule.steps

@@ -1,7 +1,7 @@
 """What makes each sequence of a benchmark hard, from the benchmark's own files: a 0 or 1 for each attribute.
 
 The files do not name their columns. `NAMES` lists the attributes as the benchmarks' papers do, in the order in which
-their toolkits are said to store them; a file ``names.txt`` beside the attribute files, a name a line, goes before it.
+their toolkits are said to store them; a file ``names.txt`` beside the attribute files, one name per line, overrides it.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ def read_attributes(dataset: str, root: Path, sequences: list[str]) -> dict[str,
         sequences: names of its sequences.
 
     Returns:
-        An entry an attribute; nothing where no file of attributes is there.
+        Return one entry per attribute; nothing where no file of attributes is there.
 
     Raises:
         UserError: a sequence has no file where others have, or a file holds anything but a 0 or 1 an attribute.
@@ -90,7 +90,7 @@ def _columns(dataset: str, folder: Path) -> tuple[str, ...]:
         return NAMES[dataset]
     given = tuple(line.strip() for line in read_text(names, "attribute names").splitlines() if line.strip())
     if len(set(given)) != len(given):
-        raise UserError(f"{names} holds a name twice: a name a column is needed")
+        raise UserError(f"{names} holds a name twice: one name per column is needed")
     return given
 
 

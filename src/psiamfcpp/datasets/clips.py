@@ -17,8 +17,9 @@ LAYOUT = "<root>/<clip>.mp4 and <root>/boxes.csv with the columns clip,frame,tra
 
 
 def read(root: Path, left_out: LeftOut = None) -> list[Sequence]:
-    """A sequence a track, in the order of the table; the source is the clip's name up to its first ``_`` or digit.
+    """Return one sequence per track, in the order of the table.
 
+    The source of a sequence is the clip's name up to its first ``_`` or digit.
     A frame without a row has no box: the target is absent there, or not labelled.
 
     Raises:

@@ -1,4 +1,4 @@
-"""DTB70 (Li and Yeung, AAAI 2017): a folder a sequence."""
+"""DTB70 (Li and Yeung, AAAI 2017): one folder per sequence."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from psiamfcpp.datasets.boxes import find_files, read_boxes
 from psiamfcpp.datasets.sequence import LeftOut, Sequence, each, labelled, require
 from psiamfcpp.images import image_files
 
-LAYOUT = "<root>/<sequence>/img/*.jpg and <root>/<sequence>/groundtruth_rect.txt (x,y,w,h a frame)"
+LAYOUT = "<root>/<sequence>/img/*.jpg and <root>/<sequence>/groundtruth_rect.txt (x,y,w,h per frame)"
 
 
 def label_files(root: Path) -> dict[str, Path]:

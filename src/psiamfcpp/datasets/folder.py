@@ -13,7 +13,7 @@ from psiamfcpp.images import image_files
 
 LAYOUT = (
     "<root>/.../<sequence>/img/*.jpg, or video.mp4 in its place, and <root>/.../<sequence>/groundtruth_rect.txt "
-    "(x,y,w,h a frame)"
+    "(x,y,w,h per frame)"
 )
 
 

@@ -1,4 +1,4 @@
-"""OTB100 (Wu et al., TPAMI 2015): a folder a sequence, some with two targets.
+"""OTB100 (Wu et al., TPAMI 2015): one folder per sequence, some with two targets.
 
 Two targets have ``groundtruth_rect.1.txt`` and ``.2.txt``; their sequences are called ``Jogging-1``, ``Jogging-2``.
 """

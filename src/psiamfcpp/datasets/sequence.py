@@ -36,7 +36,7 @@ class Sequence:
     frames: Frames[Frame]
     """where the frames are, in time order; `frame` reads one"""
     boxes: FloatArray
-    """``(n, 4)`` as ``(x, y, w, h)``, pixels, a row a frame; for training NaN where the target is not seen"""
+    """``(n, 4)`` as ``(x, y, w, h)``, pixels, one row per frame; for training NaN where the target is not seen"""
     source: str = ""
     """the collection that it comes from: training samples source by source, so that none drowns the rest"""
     clip: str = ""
@@ -156,7 +156,7 @@ def require(path: Path, layout: str) -> Path:
 
 
 def labelled(name: str, frames: Frames[Frame], boxes: FloatArray, source: str) -> Sequence:
-    """A sequence whose labels stand as published, a row a frame.
+    """A sequence whose labels stand as published, one row per frame.
 
     Raises:
         UserError: there are more frames than labels, or fewer.

@@ -15,7 +15,7 @@ from psiamfcpp.errors import UserError
 from psiamfcpp.images import image_files
 
 LAYOUT = (
-    "<root>/TRAIN_<n>/anno/<name>.txt (x,y,w,h a frame) and <root>/TRAIN_<n>/frames/<name>/{0,1,...}.jpg, "
+    "<root>/TRAIN_<n>/anno/<name>.txt (x,y,w,h per frame) and <root>/TRAIN_<n>/frames/<name>/{0,1,...}.jpg, "
     "or one TRAIN_<n> folder as <root>"
 )
 

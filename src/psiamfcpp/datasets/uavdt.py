@@ -8,7 +8,7 @@ from psiamfcpp.datasets.boxes import find_files, read_boxes
 from psiamfcpp.datasets.sequence import LeftOut, Sequence, each, labelled, require
 from psiamfcpp.images import image_files
 
-LAYOUT = "<root>/sequences/<sequence>/img000001.jpg and <root>/anno/<sequence>_gt.txt (x,y,w,h a frame)"
+LAYOUT = "<root>/sequences/<sequence>/img000001.jpg and <root>/anno/<sequence>_gt.txt (x,y,w,h per frame)"
 
 
 def label_files(root: Path) -> dict[str, Path]:

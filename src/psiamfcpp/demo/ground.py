@@ -113,7 +113,7 @@ def _road(corners: list[tuple[float, float] | Points]) -> Road:
 
 
 def _noise(rng: np.random.Generator, side: int, cells: int) -> NDArray[np.float32]:
-    """Smooth noise ``(side, side)`` of unit spread, with so many bumps a side."""
+    """Smooth noise ``(side, side)`` of unit spread, with a number of bumps per side."""
     coarse = rng.standard_normal((cells, cells)).astype(np.float32)
     return np.asarray(cv2.resize(coarse, (side, side), interpolation=cv2.INTER_CUBIC), np.float32)
 

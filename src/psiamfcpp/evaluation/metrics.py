@@ -68,7 +68,7 @@ def score_sequence(truth: ArrayLike, result: ArrayLike, convention: Convention =
     """
     truth, boxes = np.asarray(truth, np.float64), np.array(result, np.float64)
     if truth.shape != boxes.shape or truth.ndim != 2 or truth.shape[1] != 4:
-        raise UserError(f"results have shape {boxes.shape} but labels {truth.shape}: one x,y,w,h a frame is needed")
+        raise UserError(f"results have shape {boxes.shape} but labels {truth.shape}: one x,y,w,h per frame is needed")
     boxes[:1] = truth[:1]
     usable = np.isfinite(boxes).all(axis=1) & (boxes[:, 2:] > 0).all(axis=1)
     # The latest usable row; the first stands for itself, whatever it holds.

@@ -1,6 +1,6 @@
 """Boxes that trackers left behind, in the layouts in which others publish them.
 
-A folder of results holds one tracker's sequences, or a folder a tracker. A sequence is
+A folder of results holds one tracker's sequences, or one folder per tracker. A sequence is
 
 * ``<sequence>.txt``: one box per line, separated by commas, tabs or blanks (pysot, the GOT-10k toolkit, this package);
 * ``<sequence>/<sequence>_001.txt``: results on GOT-10k itself;
@@ -33,7 +33,7 @@ def find(folder: Path, dataset: Collection[str], sequences: Iterable[str]) -> di
     """The trackers of a folder, by name, each with its result files.
 
     Args:
-        folder: one tracker's folder, or one that holds a folder a tracker; of the latter, those without a result of
+        folder: one tracker's folder, or one that holds one folder per tracker; of these, those without a result of
             these sequences come with no file.
         dataset: names of the benchmark: a folder of such a name, above or below the trackers', is looked into.
         sequences: names of the benchmark's sequences; in the names of files, capitals do not matter, nor do the
@@ -57,7 +57,9 @@ def find(folder: Path, dataset: Collection[str], sequences: Iterable[str]) -> di
         if any(found.values()):
             return found
     wanted = f"{listed[0]}.txt, {listed[0]}/{listed[0]}_001.txt or {listed[0]}.mat" if listed else "a sequence"
-    raise UserError(f"{folder} holds no result of the labelled sequences; expected is {wanted}, a folder a tracker")
+    raise UserError(
+        f"{folder} holds no result of the labelled sequences; expected is {wanted}, in one folder per tracker"
+    )
 
 
 def find_all(folders: Iterable[Path], dataset: Collection[str], sequences: Collection[str]) -> dict[str, Files]:
@@ -248,7 +250,7 @@ def _read_mat(path: Path) -> FloatArray:
             raise ValueError(f"its field res has shape {getattr(boxes, 'shape', None)}")
     except ValueError as error:
         raise UserError(
-            f"results {path} cannot be read ({brief(error)}): a variable results with a field res, x,y,w,h a row, "
-            "saved as -v7, is expected"
+            f"results {path} cannot be read ({brief(error)}): a variable results with a field res, "
+            "one x,y,w,h per row, saved as -v7, is expected"
         ) from None
     return boxes.astype(np.float64)

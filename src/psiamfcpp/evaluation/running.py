@@ -1,6 +1,6 @@
-"""Runs of trackers over a benchmark: a folder a tracker, a result file and its times a sequence, each whole or absent.
+"""Run trackers over a benchmark: one folder per tracker, one result file and one timing file per sequence.
 
-``<results>/<dataset>/<tracker>/`` holds ``run.json``, ``<sequence>.txt`` (``x,y,w,h`` a line) and
+``<results>/<dataset>/<tracker>/`` holds ``run.json``, ``<sequence>.txt`` (one ``x,y,w,h`` per line) and
 ``<sequence>_time.txt`` (seconds of tracking and of decoding a line). What is there and whole is not done again.
 """
 
@@ -80,7 +80,7 @@ def run(
         watch: receives progress over what is not done yet.
 
     Returns:
-        What went wrong, a line a pair that has no result.
+        What went wrong: one line per pair that has no result.
 
     Raises:
         UserError: a tracker cannot be opened, two have one name, the folder holds another tracker's results under a

@@ -81,7 +81,7 @@ class Candidate:
 
 @dataclass
 class Timing:
-    """Milliseconds of one candidate, a row a round and a column an update."""
+    """Milliseconds of one candidate: one row per round, one column per update."""
 
     candidate: Candidate
     steps: list[list[Step]] = field(default_factory=list)

@@ -131,11 +131,11 @@ def kept_count(name: str, width: int, share: float) -> int:
 
 
 def choose(table: RankTable, counts: Mapping[str, int]) -> Plan:
-    """The plan that keeps so many filters of each group; of a group not named, all.
+    """Return the plan that keeps a number of filters of each group; of a group not named, all.
 
     Raises:
         UserError: a flat group is to be pruned, but the table holds no weight norms; or a grouped convolution cannot
-            keep so many.
+            keep that number.
     """
     return Plan(
         {

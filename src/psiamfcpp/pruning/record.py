@@ -67,7 +67,7 @@ def stability(looks: list[dict[str, Looked]]) -> dict[str, list[dict[str, float 
 
     Returns:
         For each group rows of ``images`` and ``correlation``: Spearman's, between the mean ranks over the images of
-        even and of odd number among the first so many; None where all ranks of a half are equal.
+        even and of odd number among the first N; None where all ranks of a half are equal.
     """
     rows: dict[str, list[dict[str, float | int | None]]] = {}
     for name, first in looks[0].items():

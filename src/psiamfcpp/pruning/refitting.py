@@ -105,7 +105,7 @@ def _flat(layer: nn.Module, output: Tensor) -> Tensor:
 
 
 def _chosen(columns: Tensor, limit: int) -> Tensor:
-    """At most so many of the last axis, always the same of as many; neighbours say much the same."""
+    """Return at most N of the last axis, always the same of as many; neighbours say much the same."""
     count = columns.shape[-1]
     if count <= limit:
         return columns

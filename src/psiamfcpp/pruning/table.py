@@ -42,7 +42,7 @@ class GroupRanks:
     norm: FloatArray | None = None
     """``(n,)``: L2 norm of each filter's weights, the way out where ranks are flat; None where it is not known"""
     parts: int = 1
-    """grouped convolutions part the filters in so many blocks, which must keep the same positions"""
+    """number of blocks of a grouped convolution, which must keep the same positions"""
     views: Mapping[str, View] = field(default_factory=dict)
     """the ranks by kind of crop, where there are several"""
     errors: bool = False

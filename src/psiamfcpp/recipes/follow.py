@@ -118,7 +118,7 @@ def follow_to_files(
         targets: the boxes on the first frame, at least one.
         fps: frames per second of the source.
         outputs: files to write.
-        every: the frames are one in so many of the source's; the video keeps its pace.
+        every: the frames are one in N of the source's; the video keeps its pace.
         advance: called after each frame.
 
     Raises:

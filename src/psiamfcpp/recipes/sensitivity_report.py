@@ -12,7 +12,7 @@ FIELDS = ("row", "share", "criterion", "tuned", "precision", "auc", "parameters"
 
 
 def ratio_table(results: list[dict[str, Any]], tuned: bool, figure: str = "precision") -> str:
-    """The paper's table: a line a row, a column a share KEPT, the best of each line with a star."""
+    """Return the paper's table: one line per row, one column per share KEPT, the best of each line with a star."""
     found = {(r["row"], r["share"]): r[figure] for r in results if r["share"] and r["tuned"] is tuned}
     rows, shares = list(dict.fromkeys(row for row, _ in found)), sorted({share for _, share in found})
     lines = [f"{'kept':16}" + "".join(f"{share:8g}" for share in shares)]
@@ -25,7 +25,7 @@ def ratio_table(results: list[dict[str, Any]], tuned: bool, figure: str = "preci
 
 
 def criteria_table(results: list[dict[str, Any]]) -> str:
-    """A line a criterion on the paper's widths: precision and AUC without and with fine-tuning."""
+    """Return one line per criterion on the paper's widths: precision and AUC without and with fine-tuning."""
     found = {(r["criterion"], r["tuned"]): r for r in results if r["row"] == "paper"}
     lines = [f"{'criterion':16} precision    AUC   tuned: precision    AUC"]
     for criterion in dict.fromkeys(name for name, _ in found):
@@ -50,7 +50,7 @@ def write_csv(results: list[dict[str, Any]], path: Path) -> None:
 
 
 def draw_sensitivity(results: list[dict[str, Any]], image: Path) -> None:
-    """Precision against the share kept, a line a row; without fine-tuning on the left, with it on the right.
+    """Draw precision against the share kept, one line per row; without fine-tuning on the left, with it on the right.
 
     Raises:
         UserError: the image cannot be written.

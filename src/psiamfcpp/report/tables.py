@@ -150,7 +150,7 @@ def figures_csv(comparisons: list[Comparison]) -> str:
 
 
 def sequences_csv(comparisons: list[Comparison]) -> str:
-    """A row a benchmark, convention, tracker and sequence."""
+    """Return one row per benchmark, convention, tracker and sequence."""
     return _csv(
         [
             {"dataset": c.dataset, "convention": kind, "tracker": entry.tracker, "sequence": name, **figures}
@@ -163,7 +163,7 @@ def sequences_csv(comparisons: list[Comparison]) -> str:
 
 
 def attributes_csv(comparisons: list[Comparison]) -> str:
-    """A row a benchmark, convention, tracker and attribute."""
+    """Return one row per benchmark, convention, tracker and attribute."""
     return _csv(
         [
             {

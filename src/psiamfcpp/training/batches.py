@@ -145,5 +145,5 @@ def numbered_batches(
 def _one_thread(_worker: int) -> None:
     import cv2
 
-    # OpenCV would start a thread a core in each loader process, which the network needs.
+    # OpenCV would start one thread per core in each loader process, which the network needs.
     cv2.setNumThreads(1)

@@ -66,7 +66,7 @@ class Schedule:
     unfreeze: dict[str, float] = field(default_factory=lambda: dict(architecture(DEFAULT).unfreeze))
     """share of the run after which a backbone layer is trained; 1 is never (the authors': 5, 10, 15 of 20 epochs)"""
     low_every: int = 1
-    """conv1 and conv2, where free, are trained on one step in so many; their gradients cost a third of a step"""
+    """conv1 and conv2, where free, are trained on one step in N; their gradients cost a third of a step"""
 
     def __post_init__(self) -> None:
         layers = sorted({layer for name in ARCHITECTURES for layer in architecture(name).unfreeze})

@@ -52,7 +52,7 @@ class PairSampler:
     """Draws pairs from sequences, source by source.
 
     A source's weight is the square root of the number of its images or clips, so that large ones count more but
-    drown nobody. Pictures of a source are equally likely, however many objects they hold.
+    drown nobody. Images of a source are equally likely, however many objects they hold.
     """
 
     def __init__(

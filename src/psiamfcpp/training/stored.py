@@ -241,7 +241,7 @@ def _window() -> NDArray[np.float64]:
 
 
 def _middle(crop: Image, side: float, size: int) -> Image:
-    """The square of so many pixels about a crop's middle, resized; black outside."""
+    """Return the square of N pixels about a crop's middle, resized; black outside."""
     scale = side / size
     start = (crop.shape[0] - 1) / 2 - (size - 1) / 2 * scale
     to_crop = np.array([[scale, 0, start], [0, scale, start]])

@@ -36,7 +36,7 @@ _ROWS: dict[str, Callable[[float, int, int, Shown], str]] = {".csv": csv_row, ".
 
 
 def boxes_paths(path: Path, count: int) -> list[Path]:
-    """Return the files that hold the boxes of so many targets.
+    """Return the files that hold the boxes of a number of targets.
 
     A ``.csv`` or ``.jsonl`` file holds them all. Any other is text for one target: the path itself for one,
     ``boxes.1.txt``, ``boxes.2.txt``... for several.

@@ -21,8 +21,8 @@ SESSION_SUFFIX = ".sdp"
 _OPTIONS, _SESSION_OPTIONS = "OPENCV_FFMPEG_CAPTURE_OPTIONS", "protocol_whitelist;file,rtp,udp"
 _session_lock = threading.Lock()
 
-# OpenCV takes so many packets in a row without a frame for the end of the file: by default 4,096 of sound or telemetry
-# between two images, and 64 damaged ones. -8 is FFmpeg's "quiet".
+# OpenCV takes this number of packets in a row without a frame for the end of the file: by default 4,096 of sound or
+# telemetry between two images, and 64 damaged ones. -8 is the level "quiet" of FFmpeg.
 _SETTINGS = {
     "OPENCV_FFMPEG_LOGLEVEL": "-8",
     "OPENCV_FFMPEG_READ_ATTEMPTS": str(2**31 - 1),

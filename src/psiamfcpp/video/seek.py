@@ -13,7 +13,7 @@ from psiamfcpp.video.capture import open_capture
 
 # Frames before the wanted one at which a jump aims; files differ in how far their decoders come off.
 _MARGINS = (0, 16, 150)
-# Decoding so many frames is no slower than a jump.
+# Decoding this number of frames is no slower than a jump.
 _NEAR = 30
 
 

@@ -1,4 +1,4 @@
-"""The part of a source that is followed: from a moment, to a moment, every so many frames."""
+"""The part of a source that is followed: from a moment, to a moment, one frame in N."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class Span:
     stop: str | None = None
     """first frame that is not followed any more, in seconds or as a frame number; by default none"""
     every: int = 1
-    """follow one frame in so many"""
+    """follow one frame in N"""
 
 
 def frame_number(moment: str, fps: float) -> int:

@@ -109,7 +109,7 @@ class VideoWriter:
         self._count += 1
 
     def hold(self, frames: int) -> None:
-        """Show the frame that was written last for so many frames more.
+        """Repeat the frame that was written last for a number of frames.
 
         With PyAV this costs nothing: the next frame is stamped later.
 

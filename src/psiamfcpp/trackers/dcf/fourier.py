@@ -90,7 +90,7 @@ def newton_peak(spectra: Spectrum, iterations: int) -> tuple[FloatArray, int, fl
 
     Args:
         spectra: full planes ``(S, rows, columns)``, one for each scale.
-        iterations: at most so many steps; less where all have converged.
+        iterations: largest number of steps; less where all have converged.
 
     Returns:
         Displacement ``(rows, columns)`` in cells, index of the scale, and the value there.

@@ -7,7 +7,7 @@ import math
 from psiamfcpp.spec import Calibration
 from psiamfcpp.trackers.contract import State
 
-# A target is given up after so many frames in a row that speak for its absence; one alone may be blur or a blink.
+# A target is given up after this number of frames in a row that speak for its absence; one alone may be blur.
 LOST_AFTER = 8
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 from psiamfcpp.trackers.siamfcpp.procedure import Target
 
-# So many looks at the expected place, and in how many in a row what is found there must lead; tried on rendered
+# Number of looks at the expected place, and in how many in a row what is found there must lead; tried on rendered
 # clips (`psiamfcpp demo`, seeds 0 to 14), where like cars pass while the target is under a bridge.
 _LOOKS, _LEAD = 25, 5
 # The place goes half-way to each find: where like things pass together, that keeps it with the one that came out

@@ -245,7 +245,7 @@ def _lies_in(found: Target, box: Target) -> bool:
 
 
 def _blank(frame: Image) -> bool:
-    """Tell whether a frame shows nothing: a lost video signal, a covered lens."""
+    """Return whether a frame shows nothing: a lost video signal, a covered lens."""
     return bool(frame[::_SAMPLED, ::_SAMPLED].std(axis=(0, 1)).max() < _BLANK_SPREAD)
 
 
