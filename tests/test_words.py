@@ -14,8 +14,7 @@ import pytest
 ROOT = Path(__file__).parents[1]
 SOURCE = ROOT / "src" / "psiamfcpp"
 PAGES = [*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md"), *ROOT.glob("weights/*.md"), *SOURCE.glob("zoo/*.md")]
-# serve/ is to follow.
-MODULES = [path for path in SOURCE.glob("**/*.py") if "serve" not in path.relative_to(SOURCE).parts]
+MODULES = [*SOURCE.glob("**/*.py")]
 
 INSTEAD = {
     r"mend(s|ed|ing)?": "fix",

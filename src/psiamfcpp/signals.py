@@ -35,7 +35,7 @@ def ended_like_ctrl_c() -> Iterator[Ending]:
     signals.
 
     Yields:
-        What tells whether there was a signal: some libraries make another error of the interruption.
+        An object that says whether there was a signal: some libraries make another error of the interruption.
     """
     ending = Ending()
     if threading.current_thread() is not threading.main_thread():

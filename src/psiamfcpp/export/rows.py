@@ -56,7 +56,7 @@ def _rounded(graph: Builder, rows: list[arch.Layer]) -> set[str]:
 def filled_up(ragged: Mapping[str, Layer], table: arch.Architecture) -> dict[str, Layer]:
     """Return the same function, the widths that pruning leaves filled up with filters of zeros to a multiple of 16.
 
-    Filters are computed so many at a time: LightFC cut to widths of 16 n - 1 takes 1.7 times as long in 8 bits and 1.5
+    Filters are computed 16 at a time: LightFC cut to widths of 16 n - 1 takes 1.7 times as long in 8 bits and 1.5
     times in float as filled up.
     """
     even, extra = dict(ragged), {arch.PIXELS: 0}

@@ -17,7 +17,7 @@ from psiamfcpp.models.network import Network
 from psiamfcpp.spec import ModelSpec
 from psiamfcpp.zoo import weights_path
 
-# Of tensors that do not fit, so many are named.
+# The number of tensors that are named where they do not fit.
 _NAMED = 30
 
 

@@ -30,13 +30,13 @@ _ABOUT = """
 Follow targets in a live video. Start one with `POST /api/targets`, watch it on the WebSocket `/api/live`.
 
 **WebSocket `/api/live`** (`?client=NAME` names the client; a name that comes back within 15 seconds keeps control).
-The server sends JSON: `{"type": "state", ...}` for every frame that the client has time for (it is told of the next
+The server sends JSON: `{"type": "state", ...}` for every frame that the client has time for (it gets the next
 when it has read all but the last few messages, so answer pings, as every library does), with the fields of
 `GET /api/state`, and `events` (new ones), `latency_ms` (from reading this frame to sending its box; null when the frame
-was told before) and `jpeg` (whether a binary message with the picture of this very frame follows).
+was sent before) and `jpeg` (whether a binary message with the image of this very frame follows).
 The client sends JSON:
 
-* `{"type": "frame"}`: send me one picture more; a client that asks again when it has shown one is never behind
+* `{"type": "frame"}`: send one more image; a client that asks again when it has shown one is never behind
 * `{"type": "start", "box": [x, y, w, h]}` or `{"type": "start", "point": [x, y]}`; with `"frame"`, the `frame` of the
   state that it was drawn on, the target catches up from there; with `"replace"`, another target is stopped for it
 * `{"type": "hold", "frame": 71}`: keep this frame while I draw, for two minutes at most; without `frame`, no more
@@ -174,7 +174,7 @@ def _add_commands(app: FastAPI, room: Room) -> None:
     async def stop_target(
         number: Annotated[int, Path(ge=1, le=10**9)], request: Request, client: ClientName = None
     ) -> dict[str, bool]:
-        """Let a target go."""
+        """Stop a target."""
         await room.run(control.stop, _name(request, client), number)
         return {"ok": True}
 

@@ -129,7 +129,7 @@ class Control:
         self.follower.seek(frame)
 
     def stop(self, client: str, number: int | None = None) -> None:
-        """Let a target go, or all."""
+        """Stop a target, or all."""
         self._admit(client)
         if number is None:
             self.follower.clear()

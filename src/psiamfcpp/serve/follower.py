@@ -72,7 +72,7 @@ class Follower:
     """Reads a source, follows targets in its newest frames, and takes commands from any thread.
 
     A file is played at its own rate, as a camera would be, and from its start again when it is over; then its
-    targets are let go. It can be paused, and played from another frame. Frames for which tracking leaves no time are
+    targets are released. It can be paused, and played from another frame. Frames for which tracking leaves no time are
     skipped. A source that breaks off is opened again for as long as it takes, and targets are kept.
     """
 
@@ -203,7 +203,7 @@ class Follower:
         return self._in_tracker(work)
 
     def remove(self, number: int) -> None:
-        """Let a target go.
+        """Stop a target.
 
         Raises:
             UserError: there is none of that number.

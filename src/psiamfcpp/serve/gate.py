@@ -105,7 +105,7 @@ class Gate:
             self._visitors[client].proven = True
 
     def sweep(self, silent_s: float) -> None:
-        """Close connections on which no whole request came for so many seconds; none is made longer by single bytes."""
+        """Close connections on which no whole request came in time; none is made longer by single bytes."""
         self._forget_closed()
         now = self._clock()
         for client, visitor in list(self._visitors.items()):

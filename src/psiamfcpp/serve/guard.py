@@ -100,7 +100,7 @@ class Guard:
             await _answer(send, "websocket.http.response", *refusal)
 
     def knows(self, token: str) -> bool:
-        """Whether this is the token, compared in a time that tells nothing about it."""
+        """Whether this is the token, compared in a time that says nothing about it."""
         given = hashlib.sha256(token.encode("utf-8", "replace")).digest()
         return self._token is None or hmac.compare_digest(given, self._token)
 
@@ -128,7 +128,7 @@ class Guard:
         if self._token is None and not is_loopback(_hostname(host)):
             return 403, "this server answers to this machine's own names only"
         origin = headers.get(b"origin")
-        # Pictures and the like are asked for without an origin, but browsers say from where. A link may lead here.
+        # Images and the like are asked for without an origin, but browsers say from where. A link may lead here.
         site = "none" if scope["path"] == "/" else headers.get(b"sec-fetch-site", "none")
         if (origin is not None and _netloc(origin) != host.lower()) or site not in ("none", "same-origin"):
             return 403, "requests from other sites' pages are refused"

@@ -20,7 +20,7 @@ class Bucket:
         self._left, self._at = at_once, clock()
 
     def take(self, count: float = 1.0) -> bool:
-        """Take one, or so many; whether it was allowed."""
+        """Take one, or N; whether it was allowed."""
         with self._lock:
             self._refill()
             if self._left < count:

@@ -1,4 +1,4 @@
-"""One client of the WebSocket: told of every frame it has time for, and heard."""
+"""One client of the WebSocket: it gets every frame that it has time for, and gives commands."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from psiamfcpp.serve.pictures import Pictures
 from psiamfcpp.serve.status import status
 
 MAX_CLIENTS = 16
-# A client that is told nothing new for so long is told the same again, so that it knows that the link holds.
+# After this time without news, in seconds, a client gets the same state again, so that it knows that the link holds.
 _HEARTBEAT_S = 1.0
 # One that takes nothing for so long is gone.
 _SEND_S = 20.0
@@ -84,12 +84,12 @@ class Room:
         return await asyncio.get_running_loop().run_in_executor(self.executor, work, *args)
 
     def sent(self, latency_ms: float, shot: Shot) -> None:
-        """Count boxes that were sent; frames without a target took no tracking, and tell nothing about it."""
+        """Count boxes that were sent; frames without a target took no tracking, and say nothing about it."""
         if shot.tracks:
             self._times.append((latency_ms, 1000 * shot.tracker_s))
 
     def state(self, client: str) -> dict[str, Any]:
-        """What a client is told; see `messages.State`."""
+        """Return the state that a client gets; see `messages.State`."""
         whole = status(self.control, client, self.fov)
         if not whole["targets"]:
             self._times.clear()
@@ -109,7 +109,7 @@ class Client:
         self._wishes = 0
         self._bucket = Bucket(_MESSAGES_PER_S, _MESSAGES_AT_ONCE)
         self._mistakes = 0
-        # one answer may not come between a state and its picture
+        # one answer may not come between a state and its image
         self._sending = asyncio.Lock()
 
     async def run(self) -> None:
@@ -131,7 +131,7 @@ class Client:
 
     async def _tell(self) -> None:
         room, follower = self._room, self._room.control.follower
-        told = pictured = events = 0
+        sent = pictured = events = 0
         last = None
         ready = caught_up(self._socket)
         while not room.bell.closed:
@@ -147,8 +147,8 @@ class Client:
             events = fresh[-1].number if fresh else events
             state["events"] = [asdict(event) for event in fresh]
             async with self._sending:
-                if shot is not None and shot.number > told:
-                    told = shot.number
+                if shot is not None and shot.number > sent:
+                    sent = shot.number
                     state["latency_ms"] = round(1000 * (time.perf_counter() - shot.read_at), 2)
                     room.sent(state["latency_ms"], shot)
                 await self._send(json.dumps(state))
@@ -216,7 +216,7 @@ class Client:
         return {}
 
     async def _refuse(self, reason: str, request: int | None = None, harmless: bool = False) -> bool:
-        """Say why not; False once there were so many mistakes that the client is sent away."""
+        """Say why not; False once there were too many mistakes, and the client is sent away."""
         self._mistakes += not harmless
         if self._mistakes > _MOST_MISTAKES:
             with contextlib.suppress(RuntimeError):
@@ -245,7 +245,7 @@ async def start(room: Room, client: str, body: messages.StartBody) -> tuple[int,
 
 
 def request_of(text: str | None) -> int | None:
-    """The number by which a client tells its messages apart, of one that is wrong otherwise."""
+    """The number by which a client distinguishes its messages, of one that is wrong otherwise."""
     try:
         found = json.loads(text or "")["request"]
     except (ValueError, TypeError, KeyError, RecursionError):

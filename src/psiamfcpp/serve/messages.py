@@ -193,7 +193,7 @@ class SeekMessage(SeekBody):
 
 
 class StopMessage(Strict):
-    """Let a target go; without an id, all."""
+    """Stop a target; without an id, all."""
 
     type: Literal["stop"]
     id: Identifier | None = None

@@ -1,7 +1,7 @@
 """WebSockets that know how far their client has read, so that what is sent next can be the newest there is.
 
 Whatever is sent lies in buffers of both systems until it is read: to a client that reads one message of thirty, minutes
-of them. TCP does not tell; but a client answers a ping once it has read what came before it.
+of them. TCP does not say so; but a client answers a ping once it has read what came before it.
 """
 
 from __future__ import annotations
@@ -77,7 +77,7 @@ class PacedProtocol(WebSocketsSansIOProtocol):
         await super().run_asgi()
 
     async def send(self, message: Any) -> None:
-        """Send, and ask to be told when it was read."""
+        """Send, and ask for an answer once it was read."""
         await super().send(message)
         if message["type"] == "websocket.send" and not self.transport.is_closing():
             self._sent += 1

@@ -41,7 +41,7 @@ class Pictures:
         if self._made is None or self._shot is not shot:
             self._shot = shot
             self._made = asyncio.get_running_loop().run_in_executor(self._executor, self._make, shot)
-        # a client that leaves while waiting must not take the picture from the others
+        # a client that leaves while waiting must not take the image from the others
         return await asyncio.shield(self._made)
 
     def _make(self, shot: Shot) -> bytes:

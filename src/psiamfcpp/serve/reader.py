@@ -103,7 +103,7 @@ class Reader:
         self._source.close()
 
     def _tell(self, text: str) -> None:
-        # clients may be told no path of this machine, and messages of sources name them as they were given
+        # clients may get no path of this machine, and messages of sources name them as they were given
         self._say(text.replace(self._given, self.name) if self._given else text)
 
     def _refuse_live(self, what: str) -> None:
@@ -189,5 +189,5 @@ class _Pace:
 
 
 def short_name(source: Source) -> str:
-    """What clients are told of a source: the name of a file or folder without its path."""
+    """Return what clients see of a source: the name of a file or folder without its path."""
     return source.name if source.live else Path(source.name).name or Path(source.name).resolve().name

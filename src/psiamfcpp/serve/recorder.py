@@ -17,7 +17,7 @@ from psiamfcpp.video.writer import LineWriter, VideoWriter
 
 # Frames that may wait for the encoder; more are left out of the video, and the ones before them shown for longer.
 _WAITING = 2
-# A gap in the stream becomes a still picture, but a night without one must not fill the disk.
+# A gap in the stream becomes a still image, but a night without one must not fill the disk.
 _LONGEST_STILL_S = 10.0
 # What the system holds back is lost when the power fails: by default up to half a minute of it.
 _SYNC_S = 1.0
@@ -103,7 +103,7 @@ class Recorder:
 
     def _take(self) -> None:
         shot = self._follower.newest
-        # called in any thread that tells of something, so that what has room now may have none in a moment
+        # called in any thread that reports something, so that what has room now may have none in a moment
         with contextlib.suppress(queue.Full):
             if shot is not None and shot.number != self._last:
                 self._shots.put_nowait(shot)
@@ -217,7 +217,7 @@ class _Recording:
     def _sync(self) -> None:
         """Have the system write what it holds, in a thread of its own, for some cards take their time."""
         while not self._done.wait(_SYNC_S):
-            with contextlib.suppress(OSError):  # the recording itself will tell
+            with contextlib.suppress(OSError):  # the recording itself will say so
                 for path in self.folder.iterdir():
                     file = os.open(path, os.O_RDONLY)
                     try:

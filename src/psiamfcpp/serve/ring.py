@@ -82,7 +82,7 @@ class Ring:
 
 
 def stepping_stones(frames: list[tuple[int, Image]], most: int) -> list[Image]:
-    """Return at most so many of the frames, evenly spread, the last one included.
+    """Return at most N of the frames, evenly spread, the last one included.
 
     Args:
         frames: numbered images, in order.

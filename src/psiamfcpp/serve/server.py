@@ -1,4 +1,4 @@
-"""Runs the application until it is told to end."""
+"""Runs the application until a signal ends it."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from psiamfcpp.serve.pace import PacedProtocol
 _SILENT_S = 5
 _ACCEPTED_AT_ONCE = 8
 _TAKES_NOTHING_MS = 20_000
-# What the system may hold back for a client that reads slowly: some pictures, not seconds of them.
+# What the system may hold back for a client that reads slowly: some images, not seconds of them.
 _SEND_BUFFER = 256 * 1024
 
 
@@ -75,10 +75,10 @@ def make_server(app: Guard, ready: Callable[[], None] = lambda: None) -> uvicorn
         ws=PacedProtocol,
         ws_max_size=4096,
         ws_max_queue=8,
-        # behind the pictures that a slow link has still to carry, an answer takes its time
+        # behind the images that a slow link has still to carry, an answer takes its time
         ws_ping_interval=10.0,
         ws_ping_timeout=30.0,
-        ws_per_message_deflate=False,  # pictures are compressed already
+        ws_per_message_deflate=False,  # images are compressed already
         timeout_keep_alive=_SILENT_S,
         callback_notify=sweep,
         timeout_notify=1,
@@ -90,7 +90,7 @@ def make_server(app: Guard, ready: Callable[[], None] = lambda: None) -> uvicorn
 
 
 def _own_fault(record: logging.LogRecord) -> bool:
-    """Whether a line of uvicorn's log tells of a fault of ours: in the application, or in starting and ending it."""
+    """Whether a line of uvicorn's log is of a fault of ours: in the application, or in starting and ending it."""
     return str(record.msg).startswith(("Exception in ASGI", "Exception in 'lifespan'", "Application "))
 
 

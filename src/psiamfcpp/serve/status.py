@@ -1,4 +1,4 @@
-"""What clients are told about a moment, as plain data."""
+"""What clients get about a moment, as plain data."""
 
 from __future__ import annotations
 

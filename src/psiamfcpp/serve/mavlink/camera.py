@@ -1,6 +1,6 @@
 """The camera: what it says of itself, which commands it takes, and what it reports of the target.
 
-It speaks MAVLink's camera protocol (https://mavlink.io/en/services/camera.html) and only ever tells where the target
+It speaks MAVLink's camera protocol (https://mavlink.io/en/services/camera.html) and only ever reports where the target
 is. It sends nothing that an autopilot takes as a wish to move; so bearings go out as NAMED_VALUE_FLOAT, not as
 LANDING_TARGET, which a landing autopilot would steer by, and not as CAMERA_TRACKING_GEO_STATUS, whose position and
 heading need the vehicle's own, which a camera does not know.
@@ -54,10 +54,10 @@ class Camera:
     out the commands that start and stop targets.
 
     Args:
-        control: what it commands and tells of.
+        control: what it commands and reports.
         link: how it is reached; closed by whoever opened it.
         system: MAVLink system of the vehicle.
-        fov: horizontal field of view, degrees, if known; then bearings are told.
+        fov: horizontal field of view, degrees, if known; then bearings are reported.
         stream: address of the video for ground stations; empty where there is none that they can play.
     """
 
@@ -67,7 +67,7 @@ class Camera:
         self._control, self._link, self._fov = control, link, fov
         self._mav = mav.MAVLink(None, system, _COMPONENT)
         self._parsers: dict[Peer, mav.MAVLink] = {}
-        # the target that was taken up by MAVLink last, to be let go with the next
+        # the target that MAVLink started last, to be released with the next
         self._own: int | None = None
         self._intervals_us: dict[int, int] = {mav.MAVLINK_MSG_ID_HEARTBEAT: _HEARTBEAT_US}
         if fov is not None:
@@ -232,7 +232,7 @@ class Camera:
         self._control.lease.release(client)
 
     def _replace(self, client: str, number: int) -> None:
-        """MAVLink knows one target: the one before goes, unless it was taken up in another way."""
+        """MAVLink knows one target: the one before is released, unless it was started in another way."""
         if self._own is not None:
             with contextlib.suppress(UserError):
                 self._control.follower.remove(self._own)
@@ -262,7 +262,7 @@ class Camera:
             self._intervals_us.pop(number, None)
         return mav.MAV_RESULT_ACCEPTED
 
-    # what is told
+    # what is reported
 
     def _tell(self) -> float:
         """Send what is due; seconds until the next is."""

@@ -47,7 +47,7 @@ class Link(Protocol):
         ...
 
     def close(self) -> None:
-        """Let go of port or device."""
+        """Release port or device."""
         ...
 
 
@@ -109,7 +109,7 @@ class UdpLink:
             try:
                 data, peer = self._socket.recvfrom(2048)
             except OSError:
-                # nothing in time; or nobody was there for what was sent last, which UDP tells here
+                # nothing in time; or nobody was there for what was sent last, which UDP reports here
                 return None
             # cheaply, before anything is parsed
             if data and data[0] in _MARKS and self._allowed(peer):
