@@ -6,6 +6,7 @@ import importlib
 import inspect
 import os
 import re
+import shlex
 import signal
 import subprocess
 import sys
@@ -14,7 +15,8 @@ from pathlib import Path
 import pytest
 
 import psiamfcpp
-from psiamfcpp.cli import COMMANDS
+from psiamfcpp.cli import COMMANDS, _gathered, _parse
+from psiamfcpp.cli.examples import EXAMPLES, GROUPS
 from psiamfcpp.errors import UserError
 
 from .conftest import Run
@@ -32,7 +34,7 @@ REQUIRED = {
 }
 
 
-@pytest.mark.parametrize("args", [[], ["-h"], ["--help"]])
+@pytest.mark.parametrize("args", [[], ["-h"], ["--help"], ["help"]])
 def test_the_overview_lists_every_command(run: Run, args: list[str]) -> None:
     ended = run(*args)
     assert (ended.code, ended.err) == (0, "")
@@ -40,8 +42,33 @@ def test_the_overview_lists_every_command(run: Run, args: list[str]) -> None:
         assert re.search(rf"^  {name} +{re.escape(what)}$", ended.out, re.MULTILINE)
 
 
-def test_version(run: Run) -> None:
-    ended = run("--version")
+def test_every_command_is_in_one_group_and_has_examples() -> None:
+    assert sorted(name for names in GROUPS.values() for name in names) == sorted(COMMANDS) == sorted(EXAMPLES)
+
+
+@pytest.mark.parametrize("line", [line for lines in EXAMPLES.values() for line in lines])
+def test_examples_can_be_parsed(line: str) -> None:
+    program, command, *args = shlex.split(line)
+    assert (program, line in EXAMPLES[command]) == ("psiamfcpp", True)
+    function = getattr(
+        importlib.import_module(f"psiamfcpp.cli.{'import_' if command == 'import' else command}"),
+        "import_" if command == "import" else command,
+    )
+    _parse(command, function, _gathered(function, args))
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_help_shows_kinds_and_examples_and_no_none(run: Run, command: str) -> None:
+    shown = run(command, "--help").out
+    assert run("help", command).out == shown
+    assert "examples:\n  " + EXAMPLES[command][0] in shown
+    options = shown.partition("\nexamples:")[0]
+    assert not re.search(r"\{None|default:\s+None|^ +None\)", options, re.MULTILINE)
+
+
+@pytest.mark.parametrize("flag", ["--version", "-V", "version"])
+def test_version(run: Run, flag: str) -> None:
+    ended = run(flag)
     assert (ended.code, ended.out) == (0, f"psiamfcpp {psiamfcpp.__version__}\n")
 
 

@@ -15,6 +15,7 @@ from typing import Any, get_origin, get_type_hints
 
 import tyro
 
+from psiamfcpp.cli.examples import GROUPS, examples
 from psiamfcpp.errors import UserError
 from psiamfcpp.files import printable
 from psiamfcpp.signals import ended_like_ctrl_c
@@ -74,9 +75,11 @@ def main(args: list[str] | None = None) -> int:
         # a result must not be lost for a name that the terminal cannot show
         sys.stdout.reconfigure(errors="backslashreplace")
     try:
-        if not args or args[0] in ("-h", "--help"):
+        if args[0:1] == ["help"] and args[1:]:
+            args = [args[1], "--help"]
+        if not args or args[0] in ("-h", "--help", "help"):
             print(_overview())
-        elif args[0] == "--version":
+        elif args[0] in ("-V", "--version", "version"):
             print(f"psiamfcpp {__version__}")
         else:
             _run_until_signal(args[0], args[1:])
@@ -128,23 +131,27 @@ def _run(command: str, args: list[str]) -> None:
     module = importlib.import_module(f"psiamfcpp.cli.{'import_' if command == 'import' else command}")
     function = module.import_ if command == "import" else getattr(module, command)
     args = _gathered(function, args)
-    complaint = io.StringIO()
+    complaint, shown = io.StringIO(), io.StringIO()
     try:
-        with contextlib.redirect_stderr(complaint):
+        with contextlib.redirect_stderr(complaint), contextlib.redirect_stdout(shown):
             call = _parse(command, function, args)
     except SystemExit as stop:
         if not stop.code:
+            print(_tidy(shown.getvalue()) + examples(command))
             return
         raise UserError(_misspelt(command, function, args) or _one_line(complaint.getvalue())) from None
     call()
 
 
 def _parse(command: str, function: Callable[..., None], args: list[str]) -> Callable[[], None]:
+    from psiamfcpp.cli.kinds import KINDS
+
     return tyro.cli(
         _deferred(function),
         prog=f"psiamfcpp {command}",
         args=args,
         config=(tyro.conf.OmitArgPrefixes, tyro.conf.FlagCreatePairsOff),
+        registry=KINDS,
     )
 
 
@@ -196,11 +203,24 @@ def _deferred(function: Callable[..., None]) -> Callable[..., Callable[[], None]
 
 
 def _one_line(panel: str) -> str:
-    """Tyro's framed complaint as one line."""
+    """Return tyro's framed complaint as one line, without the help that it repeats."""
+    panel = panel.partition("Argument helptext:")[0]
     lines = [re.sub(r"[\u2500-\u257f]", " ", line).strip() for line in panel.splitlines()]
     return " ".join(line for line in lines[1:] if line)
 
 
+def _tidy(shown: str) -> str:
+    """Return tyro's help without defaults of None, and without the blanks that it ends lines with."""
+    blanked = re.sub(r" ?\(default:\s+None\)", lambda match: re.sub(r"\S", " ", match[0]), shown)
+    pairs = zip(shown.splitlines(), blanked.splitlines(), strict=True)
+    # a line of which nothing is left but was something goes
+    text = "\n".join(after.rstrip() for before, after in pairs if after.strip() or not before.strip())
+    return text.replace("{None,", "{").replace(" options options", " tracker options") + "\n"
+
+
 def _overview() -> str:
-    rows = "\n".join(f"  {name:11}  {what}" for name, what in COMMANDS.items())
+    rows = "\n\n".join(
+        "\n".join([f"{group}:", *(f"  {name:11}  {COMMANDS[name]}" for name in names)])
+        for group, names in GROUPS.items()
+    )
     return f"usage: psiamfcpp COMMAND [OPTIONS]\n\n{rows}\n\n`psiamfcpp COMMAND --help` lists a command's options."

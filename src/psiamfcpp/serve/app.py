@@ -180,7 +180,7 @@ def _add_commands(app: FastAPI, room: Room) -> None:
 
     @app.delete("/api/targets", response_model=messages.Done, tags=["targets"])
     async def stop_all(request: Request, client: ClientName = None) -> dict[str, bool]:
-        """Let all targets go."""
+        """Stop all targets."""
         await room.run(control.stop, _name(request, client))
         return {"ok": True}
 
