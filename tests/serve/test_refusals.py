@@ -63,6 +63,8 @@ def test_oversized_bodies_are_refused(http: httpx.Client, follower: Follower) ->
     large = b" " * 200_000
     answer = http.post("/api/targets", content=large)
     assert (answer.status_code, answer.json()) == (413, {"error": "a request may hold 16384 bytes"})
+    # the rest of the body is not read, so clients must not use the connection again
+    assert answer.headers["connection"] == "close"
     # and where the size is not said
     assert http.post("/api/targets", content=iter([large[:9000]] * 20)).status_code in (400, 413)
     unharmed(follower)

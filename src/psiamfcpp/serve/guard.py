@@ -224,7 +224,7 @@ def _again(body: bytes, receive: Receive) -> Receive:
 async def _answer(send: Send, kind: str, code: int, text: str) -> None:
     body = json.dumps({"error": text}).encode()
     headers = [(b"content-type", b"application/json"), (b"content-length", str(len(body)).encode())]
-    if code == 408:
+    if code in (408, 413):  # the rest of the body is not read
         headers.append((b"connection", b"close"))
     if code == 429:
         headers.append((b"retry-after", b"2"))
