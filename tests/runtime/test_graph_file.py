@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -11,7 +12,7 @@ import numpy as np
 import pytest
 
 from psiamfcpp.errors import UserError
-from psiamfcpp.runtime import open_engine
+from psiamfcpp.runtime import graph_file, open_engine
 from psiamfcpp.runtime.graph_file import check_onnx
 
 onnx = pytest.importorskip("onnx")
@@ -89,6 +90,13 @@ def test_one_line(graphs: Path, damage: Callable[[Path], None], message: str) ->
 def test_what_export_writes_is_known(tiny_graphs: Path) -> None:
     for name in ("template", "search"):
         check_onnx(tiny_graphs / f"{name}.onnx")
+
+
+def test_every_operator_of_the_exporters_is_known() -> None:
+    folder = Path(graph_file.__file__).parents[1] / "export"
+    written = {name for path in folder.glob("*.py") for name in re.findall(r"\.add\(\s*\"(\w+)\"", path.read_text())}
+    assert len(written) > 20
+    assert written <= graph_file._OPERATORS
 
 
 @pytest.mark.parametrize("size", [1, 7, 100, 5000])
