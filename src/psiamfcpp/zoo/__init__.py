@@ -21,6 +21,7 @@ _FOLDER = Path(__file__).parent
 _WEIGHTS = "psiamfcpp_weights"
 # What the distribution of weights holds, so that it can be named where it is missing.
 _ELSEWHERE = (
+    "plightfc",
     "psiamfcpp-alexnet",
     "psiamfcpp-alexnet-n",
     "psiamfcpp-alexnet-s",
