@@ -415,7 +415,7 @@ def test_compiled_it_learns_the_same(start: Start, tmp_path: Path, monkeypatch: 
     chosen = options(3, ema=0.0)
     chosen = dataclasses.replace(chosen, schedule=dataclasses.replace(chosen.schedule, low_every=2))
     list(start(chosen, folder="compiled", compile=True))
-    assert compiled == ["Backbone", "Head"]
+    assert compiled == ["Backbone", "Part", "Head"]
     list(start(chosen, folder="plain"))
     first, second = (weights(tmp_path / name) for name in ("compiled", "plain"))
     assert all(torch.allclose(value, second[name], rtol=1e-3, atol=1e-4) for name, value in first.items())

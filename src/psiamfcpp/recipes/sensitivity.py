@@ -20,7 +20,7 @@ from psiamfcpp.evaluation.ope import mean_over
 from psiamfcpp.models import Network, load, save
 from psiamfcpp.models.checkpoint import read
 from psiamfcpp.models.cost import count_parameters, search_macs
-from psiamfcpp.pruning.criteria import CRITERIA, WITH_LOSS, Context, find_criterion, score_table
+from psiamfcpp.pruning.criteria import CRITERIA, WITH_LOSS, WITH_MAPS, Context, find_criterion, score_table
 from psiamfcpp.pruning.models import example_inputs, groups_of, prune_model
 from psiamfcpp.pruning.planning import choose, kept_count, plan
 from psiamfcpp.pruning.table import read_json, write_json
@@ -133,10 +133,11 @@ class Cell:
 def cells(setup: Setup, rows: tuple[str, ...], shares: tuple[float, ...]) -> list[Cell]:
     """The unpruned network, the table of ratios and the comparison of criteria; with and without fine-tuning.
 
-    Where there are no training data, nothing is fine-tuned, and criteria that need a loss are left out.
+    Where there are no training data, nothing is fine-tuned, and criteria that need a loss are left out. Criteria that
+    look at maps are compared by `benchmarks/criteria.py`, since they plan by budget and not by the paper's widths.
     """
     found = [Cell("unpruned")]
-    criteria = [name for name in CRITERIA if setup.data or name not in WITH_LOSS]
+    criteria = [name for name in CRITERIA if name not in WITH_MAPS and (setup.data or name not in WITH_LOSS)]
     for tuned in (False, True) if setup.data else (False,):
         found += [Cell(row, share, tuned=tuned) for row in rows for share in shares]
         found += [Cell("paper", criterion=criterion, tuned=tuned) for criterion in criteria]
