@@ -139,3 +139,10 @@ def test_info_of_a_model_without_calibration(run: Run, tmp_path: Path, tiny_mode
     save(tmp_path / "open.safetensors", network)
     assert "calibration  none\n" in run("info", tmp_path / "open.safetensors").out
     assert json.loads(run("info", tmp_path / "open.safetensors", "--json").out)["calibration"] is None
+
+
+def test_info_of_graphs_is_that_of_the_network_that_they_were_made_from(
+    run: Run, tiny_model: Path, tiny_graphs: Path
+) -> None:
+    of_graphs, of_network = (json.loads(run("info", path, "--json").out) for path in (tiny_graphs, tiny_model))
+    assert of_graphs == of_network

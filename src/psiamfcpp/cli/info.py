@@ -8,14 +8,16 @@ from typing import Any
 from psiamfcpp.cli.arguments import Json, Model
 from psiamfcpp.cli.output import print_json
 from psiamfcpp.files import printable
+from psiamfcpp.runtime import open_engine
+from psiamfcpp.spec import ModelSpec
+from psiamfcpp.zoo import graph_folder, names
 
 
 def info(model: Model, json: Json = False) -> None:
-    """Describe a model."""
-    from psiamfcpp.models import load
+    """Describe a model: a checkpoint, or a folder of graphs."""
     from psiamfcpp.models.cost import facts as cost
 
-    spec = load(model).spec
+    spec = _spec(model)
     facts: dict[str, Any] = {
         "architecture": spec.architecture,
         **cost(spec),
@@ -35,3 +37,11 @@ def info(model: Model, json: Json = False) -> None:
         said = ", ".join(f"{key} {value}" for key, value in (facts[title] or {}).items())
         # what a file says of itself may be anything
         print(f"{title:12} {printable(said) or 'none'}")
+
+
+def _spec(model: str) -> ModelSpec:
+    from psiamfcpp.models import load
+
+    if model not in names() and graph_folder(model):
+        return open_engine(model, threads=1).spec
+    return load(model).spec
