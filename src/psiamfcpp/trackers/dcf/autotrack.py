@@ -44,8 +44,8 @@ class AutoTrack:
 
     Most of the authors' boxes are met, not all. With their positions fed in over 44 frames, 24 of 295 moves round
     otherwise, most by less than a tenth of a pixel. Double precision, full spectra, exact roots in fHOG, sums by
-    integral images and the other published form of `_temporal` bring none nearer. Where two peaks are nearly equal,
-    so little decides.
+    integral images and the other published form of `_temporal` do not end these differences. Where two peaks are
+    nearly equal, so little decides.
     """
 
     def __init__(self, frame: Image, box: Box, constants: AutoTrackConstants):
