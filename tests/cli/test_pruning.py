@@ -332,6 +332,7 @@ def test_tables_of_other_groups_are_refused(run: Run, full_table: Path) -> None:
     assert "lacks head.cls3" in message and "unknown head.cls4" in message
 
 
+@pytest.mark.slow
 def test_plans_that_do_not_fit_are_refused(run: Run, tiny_model: Path, tmp_path: Path) -> None:
     whole = {name: list(range(8)) for name in FULL_WIDTHS}
     path, output = tmp_path / "plan.json", tmp_path / "pruned.safetensors"
@@ -370,6 +371,7 @@ def test_refused_rankings(
     assert message in run("rank", tiny_model, *(part for item in args.items() for part in item)).refused()
 
 
+@pytest.mark.slow
 def test_tables_of_another_architecture_are_planned(run: Run, tmp_path: Path) -> None:
     groups = architecture("lightfc").groups
     # Filter i is worth i, and the stem's filters far more.

@@ -145,6 +145,7 @@ def test_a_second_architecture_is_a_table(shallow: ModelSpec, tmp_path: Path) ->
 
 
 @pytest.mark.parametrize("engine", ["onnx", "openvino"])
+@pytest.mark.slow
 def test_a_second_architecture_is_exported_and_run_by_its_table(
     shallow: ModelSpec, tmp_path: Path, engine: str
 ) -> None:

@@ -22,6 +22,7 @@ def clips(blob_sequence: Callable[..., Path]) -> Path:
     return blob_sequence("other", [(120.0, 80.0 + 3 * t, 30, 36) for t in range(3)])
 
 
+@pytest.mark.slow
 def test_from_a_ranking_to_graphs_without_a_file_in_between(tiny_model: Path, clips: Path, tmp_path: Path) -> None:
     pytest.importorskip("onnx")
     data, before = [f"folder:{clips}"], set(tmp_path.rglob("*"))

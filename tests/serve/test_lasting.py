@@ -19,6 +19,7 @@ from psiamfcpp.serve.follower import Follower
 from .conftest import HEIGHT, TIMEOUT_S, WIDTH, Stream, browse, live, served, state, until
 
 
+@pytest.mark.slow
 def test_those_who_connect_and_say_nothing_keep_nobody_out(control: Control, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("psiamfcpp.serve.server._SILENT_S", 1)
     with served(control) as address:
@@ -72,6 +73,7 @@ def test_a_client_that_reads_slowly_reads_what_is_new(address: str, stream: Stre
         slow.close_timeout = 0.1
 
 
+@pytest.mark.slow
 def test_clients_that_read_nothing_delay_nobody(address: str, stream: Stream) -> None:
     rng = np.random.default_rng(0)
     noise = rng.integers(0, 255, (HEIGHT, WIDTH, 3), dtype=np.uint8)
@@ -122,6 +124,7 @@ def test_connects_and_disconnects_leave_nothing(address: str, http: httpx.Client
     )
 
 
+@pytest.mark.slow
 def test_it_ends_while_clients_are_there(control: Control) -> None:
     with served(control) as address:
         socket = live(address)

@@ -612,6 +612,7 @@ def test_a_flood_of_commands_starts_nothing_and_harms_nothing(station: Station, 
     unharmed(follower)
 
 
+@pytest.mark.slow
 def test_a_link_that_is_lost_comes_back(control: Control, port: int, follower: Follower) -> None:
     link = open_link(f"udpout:127.0.0.1:{port}")
     with Camera(control, link, SYSTEM):

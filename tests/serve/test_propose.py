@@ -24,6 +24,7 @@ def test_a_blob_is_found_wherever_in_it_one_taps(
     assert overlap(propose_box(frame, x + off[0] * w, y + off[1] * h), box) > 0.8
 
 
+@pytest.mark.slow
 def test_a_car_from_above_is_found() -> None:
     shot = next(iter(render(0, 2)))
     x, y, w, h = shot.box
