@@ -131,9 +131,7 @@ def follow_to_files(
         try:
             while (shot := _next(read, result)) is not None:
                 start = time.perf_counter()
-                tracks = (
-                    pool.update(shot.image) if result.tracks else dict(pool.add(shot.image, box) for box in targets)
-                )
+                tracks = _followed(pool, shot.image, targets)
                 result.seconds.append(time.perf_counter() - start)
                 # Not before a box was accepted: a wrong one must not cost the files of an earlier run.
                 write = write or files.enter_context(behind(_writer(outputs, shot, len(targets), fps, every, files)))
