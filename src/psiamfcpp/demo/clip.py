@@ -46,7 +46,9 @@ class DemoFrame:
 
 
 @dataclass(frozen=True, slots=True)
-class _Vehicle:
+class Vehicle:
+    """What drives through the clip."""
+
     sprite: Sprite
     pose: _Move
     below: bool
@@ -82,10 +84,33 @@ def render(seed: int = 0, frames: int = 300, size: tuple[int, int] = (1280, 720)
 def _render(seed: int, frames: int, size: tuple[int, int]) -> Iterator[DemoFrame]:
     rng = np.random.default_rng(seed)
     land = build(rng)
-    target, others = _traffic(land, rng)
-    views = _camera(target, frames, size, rng)
+    target, others = traffic(land, rng)
+    yield from film(land, target, others, camera(target, frames, size, rng), size, rng)
+
+
+def film(
+    land: Land,
+    target: Vehicle,
+    others: list[Vehicle],
+    views: list[Affine],
+    size: tuple[int, int],
+    rng: np.random.Generator,
+) -> Iterator[DemoFrame]:
+    """Draw a ride frame by frame.
+
+    Args:
+        land: what the camera flies over.
+        target: the vehicle whose box is the truth.
+        others: all other vehicles.
+        views: from the land to each frame, ``(2, 3)``.
+        size: ``(width, height)`` in pixels.
+        rng: of the noise.
+
+    Returns:
+        An iterator that holds one frame at a time.
+    """
     noise = rng.normal(128, 3.2, (size[1] + 64, size[0] + 64, 3)).astype(np.uint8)
-    for share, view in zip(np.linspace(0, 1, frames), views, strict=True):
+    for share, view in zip(np.linspace(0, 1, len(views)), views, strict=True):
         ground = cv2.warpAffine(land.texture, view, size, flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT_101)
         image = np.asarray(ground, np.uint8)
         in_sight = 1.0
@@ -99,8 +124,8 @@ def _render(seed: int, frames: int, size: tuple[int, int]) -> Iterator[DemoFrame
         yield DemoFrame(np.asarray(grainy, np.uint8), _box(target, share, view), in_sight >= 0.5)
 
 
-def _traffic(land: Land, rng: np.random.Generator) -> tuple[_Vehicle, list[_Vehicle]]:
-    """The target, and all the others."""
+def traffic(land: Land, rng: np.random.Generator) -> tuple[Vehicle, list[Vehicle]]:
+    """Return the target, and all the others."""
     colour = TARGET_COLOURS[rng.integers(len(TARGET_COLOURS))]
     start = land.main.nearest(land.bridge) - _UNDER_BRIDGE * _TRAVEL
 
@@ -114,20 +139,20 @@ def _traffic(land: Land, rng: np.random.Generator) -> tuple[_Vehicle, list[_Vehi
 
         return _drive(land.main, place, lane, False)
 
-    target = _Vehicle(vehicles.car(colour), beside(0, 0, 1.5), True)
+    target = Vehicle(vehicles.car(colour), beside(0, 0, 1.5), True)
     others = [
-        _Vehicle(vehicles.truck((150, 90, 40)), beside(320, 0, 1.5), True),
-        _Vehicle(vehicles.car(_any(rng)), beside(-190, 0, 1.5), True),
-        _Vehicle(vehicles.car(_OTHERS[0]), beside(-330, 1250, 0.5), True),
-        _Vehicle(vehicles.van(_OTHERS[0]), beside(-760, 900, 0.5), True),
+        Vehicle(vehicles.truck((150, 90, 40)), beside(320, 0, 1.5), True),
+        Vehicle(vehicles.car(_any(rng)), beside(-190, 0, 1.5), True),
+        Vehicle(vehicles.car(_OTHERS[0]), beside(-330, 1250, 0.5), True),
+        Vehicle(vehicles.van(_OTHERS[0]), beside(-760, 900, 0.5), True),
     ]
     others += _oncoming(land.main, start + 0.78 * _TRAVEL, colour, rng)
     others += _crossing(land, rng)
-    others += [_Vehicle(vehicles.car(_any(rng)), _stay(yard), False) for yard in land.yards]
+    others += [Vehicle(vehicles.car(_any(rng)), _stay(yard), False) for yard in land.yards]
     return target, others
 
 
-def _oncoming(road: Road, meet: float, twin: Colour, rng: np.random.Generator) -> list[_Vehicle]:
+def _oncoming(road: Road, meet: float, twin: Colour, rng: np.random.Generator) -> list[Vehicle]:
     """Two lanes towards the target, with one car that looks just like it and passes it at ``meet``."""
     found = []
     for lane, pace in ((-0.5, 1900.0), (-1.5, 1500.0)):
@@ -139,11 +164,11 @@ def _oncoming(road: Road, meet: float, twin: Colour, rng: np.random.Generator) -
                 first += rng.uniform(-90, 90)
                 vans = rng.random() < 0.25
                 sprite = vehicles.van(_OTHERS[rng.integers(2)]) if vans else vehicles.car(_any(rng))
-            found.append(_Vehicle(sprite, _drive(road, _steady(first, -pace), lane, True), True))
+            found.append(Vehicle(sprite, _drive(road, _steady(first, -pace), lane, True), True))
     return found
 
 
-def _crossing(land: Land, rng: np.random.Generator) -> list[_Vehicle]:
+def _crossing(land: Land, rng: np.random.Generator) -> list[Vehicle]:
     """Two lanes over the bridge."""
     found = []
     middle = land.crossing.nearest(land.bridge)
@@ -151,7 +176,7 @@ def _crossing(land: Land, rng: np.random.Generator) -> list[_Vehicle]:
         for number in range(-5, 6):
             place = _steady(middle + 420 * number + rng.uniform(-130, 130) - pace / 2, pace)
             sprite = vehicles.car(_any(rng))
-            found.append(_Vehicle(sprite, _drive(land.crossing, place, lane, pace < 0), False))
+            found.append(Vehicle(sprite, _drive(land.crossing, place, lane, pace < 0), False))
     return found
 
 
@@ -177,8 +202,8 @@ def _drive(road: Road, place: Callable[[float], float], lane: float, back: bool)
     return pose
 
 
-def _camera(target: _Vehicle, frames: int, size: tuple[int, int], rng: np.random.Generator) -> list[Affine]:
-    """From the land to each frame, ``(2, 3)``: the target wanders, the camera turns, zooms and shakes."""
+def camera(target: Vehicle, frames: int, size: tuple[int, int], rng: np.random.Generator) -> list[Affine]:
+    """Return the views from the land to each frame, ``(2, 3)``: the target wanders, the camera turns and shakes."""
     width, height = size
     scale = min(width / 1280, height / 720)
     phase = rng.uniform(0, 2 * np.pi, 6)
@@ -196,7 +221,7 @@ def _camera(target: _Vehicle, frames: int, size: tuple[int, int], rng: np.random
     return views
 
 
-def _show(image: Image, vehicle: _Vehicle, share: float, view: Affine, land: Land) -> float:
+def _show(image: Image, vehicle: Vehicle, share: float, view: Affine, land: Land) -> float:
     """Draw a vehicle with its shadow, in place; how much of it is in sight, 0 to 1."""
     x, y, heading = vehicle.pose(share)
     seen = view @ (x, y, 1)
@@ -205,17 +230,17 @@ def _show(image: Image, vehicle: _Vehicle, share: float, view: Affine, land: Lan
     cover = None
     if vehicle.below and float(np.hypot(*(land.bridge - (x, y)))) < 330:
         shift = np.array([[1, 0, land.cover_origin[0]], [0, 1, land.cover_origin[1]]])
-        cover = (land.cover, _compose(view, shift))
-    body = _compose(_rigid(x, y, heading), vehicle.sprite.placement)
-    dark = _compose(_rigid(x + SUN[0], y + SUN[1], heading), vehicle.sprite.placement)
-    vehicles.stamp(image, vehicle.sprite.shadow, _compose(view, dark), cover)
-    return vehicles.stamp(image, vehicle.sprite.pixels, _compose(view, body), cover)
+        cover = (land.cover, compose(view, shift))
+    body = compose(_rigid(x, y, heading), vehicle.sprite.placement)
+    dark = compose(_rigid(x + SUN[0], y + SUN[1], heading), vehicle.sprite.placement)
+    vehicles.stamp(image, vehicle.sprite.shadow, compose(view, dark), cover)
+    return vehicles.stamp(image, vehicle.sprite.pixels, compose(view, body), cover)
 
 
-def _box(vehicle: _Vehicle, share: float, view: Affine) -> Box:
+def _box(vehicle: Vehicle, share: float, view: Affine) -> Box:
     outline = vehicle.sprite.outline
     points = np.concatenate([outline, np.ones((len(outline), 1))], axis=1)
-    to_view = _compose(view, _rigid(*vehicle.pose(share)))
+    to_view = compose(view, _rigid(*vehicle.pose(share)))
     low, high = (f(points @ to_view.T, axis=0) for f in (np.min, np.max))
     # an edge at 9.5 is where pixel 10 begins
     return (float(low[0] + 0.5), float(low[1] + 0.5), float(high[0] - low[0]), float(high[1] - low[1]))
@@ -226,6 +251,6 @@ def _rigid(x: float, y: float, angle: float) -> Affine:
     return np.array([[cos, -sin, x], [sin, cos, y]])
 
 
-def _compose(outer: Affine, inner: Affine) -> Affine:
-    """The transform that applies ``inner``, then ``outer``."""
+def compose(outer: Affine, inner: Affine) -> Affine:
+    """Return the transform that applies ``inner``, then ``outer``."""
     return outer @ np.concatenate([inner, [[0.0, 0.0, 1.0]]])

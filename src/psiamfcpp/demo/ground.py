@@ -259,7 +259,7 @@ def _roof(image: Image, place: Points, half: Points, axes: Points, colour: tuple
 
 
 def _trees(image: Image, taken: Image, rng: np.random.Generator) -> None:
-    kinds = [_tree(rng) for _ in range(14)]
+    kinds = [tree(rng) for _ in range(14)]
     woods = _noise(rng, SIDE // 8, 16) + 0.3 * _noise(rng, SIDE // 8, 60)
     for x, y in rng.uniform(60, SIDE - 60, (5200, 2)):
         wooded = woods[int(y) // 8, int(x) // 8] > 1.15
@@ -269,17 +269,17 @@ def _trees(image: Image, taken: Image, rng: np.random.Generator) -> None:
         rows, columns = slice(int(y) - radius, int(y) + radius), slice(int(x) - radius, int(x) + radius)
         if taken[rows, columns].any():
             continue
-        tree = cv2.resize(kinds[rng.integers(len(kinds))], (2 * radius, 2 * radius), interpolation=cv2.INTER_AREA)
-        alpha = tree[:, :, 3:]
+        crown = cv2.resize(kinds[rng.integers(len(kinds))], (2 * radius, 2 * radius), interpolation=cv2.INTER_AREA)
+        alpha = crown[:, :, 3:]
         dx, dy = (SUN * radius / 26).astype(int)
         below = image[rows.start + dy : rows.stop + dy, columns.start + dx : columns.stop + dx]
         below[:] = below * (1 - 0.5 * alpha)
         region = image[rows, columns]
-        region[:] = region * (1 - alpha) + tree[:, :, :3] * alpha
+        region[:] = region * (1 - alpha) + crown[:, :, :3] * alpha
 
 
-def _tree(rng: np.random.Generator) -> NDArray[np.float32]:
-    """A crown ``(96, 96, 4)``: BGR (0..255) and alpha (0..1), lit from where the sun stands."""
+def tree(rng: np.random.Generator) -> NDArray[np.float32]:
+    """Return a crown ``(96, 96, 4)``: BGR (0..255) and alpha (0..1), lit from where the sun stands."""
     side, crown = 96, np.zeros((96, 96, 4), np.float32)
     base = np.array([44, 88, 66]) * rng.uniform(0.75, 1.15) + rng.uniform(-8, 12, 3)
     for step in range(70):

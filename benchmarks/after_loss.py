@@ -1,0 +1,97 @@
+"""What trackers do after loss: the VOT long-term F-score on rendered long clips, with states and plain.
+
+    python benchmarks/after_loss.py --trackers plightfc-int8 psiamfcpp-alexnet-n-int8 --seeds 1 3 5
+
+The target leaves the frame, is hidden, and cars that look like it pass (`psiamfcpp.demo.long`). Precision at a limit of
+the score is the mean overlap over the frames whose score reaches it, 0 where the target is out of sight; recall is the
+mean over the frames in which the target is in sight, 0 where the score does not reach the limit. Both are means over
+clips, and the F-score is the highest over all limits (Lukezic et al. 2018). Even seeds served to develop the states;
+use odd ones to judge them. With ``--curve`` the points of precision and recall are printed too.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+
+import cv2
+import numpy as np
+import tyro
+from numpy.typing import NDArray
+
+from psiamfcpp import TrackerOptions, open_tracker
+from psiamfcpp.demo.long import render_long
+from psiamfcpp.geometry import overlap
+
+Frames = NDArray[np.float64]
+"""``(n, 3)``: overlap, whether the target is in sight, and score, frame by frame"""
+
+_LIMITS = 100
+
+
+def main(
+    trackers: tuple[str, ...] = ("plightfc-int8",),
+    seeds: tuple[int, ...] = (1, 3, 5, 7, 9),
+    frames: int = 600,
+    curve: bool = False,
+) -> None:
+    """Follow and print one JSON object.
+
+    Args:
+        trackers: those that state scores, as `psiamfcpp.open_tracker` takes them.
+        seeds: of the clips.
+        frames: of each clip.
+        curve: print precision and recall at each limit as well.
+    """
+    cv2.setNumThreads(1)
+    found: dict[str, list[Frames]] = {}
+    for seed in seeds:
+        for name, rows in follow(trackers, seed, frames):
+            found.setdefault(name, []).append(rows)
+    print(json.dumps({"seeds": seeds, "frames": frames, "trackers": {k: table(v, curve) for k, v in found.items()}}))
+
+
+def follow(trackers: tuple[str, ...], seed: int, frames: int) -> Iterator[tuple[str, Frames]]:
+    """Yield what each tracker does on one clip, with states and plain."""
+    names = [f"{name} {way}" for name in trackers for way in ("states", "plain")]
+    opened = [
+        open_tracker(name, TrackerOptions(threads=1, plain=plain)) for name in trackers for plain in (False, True)
+    ]
+    rows = np.zeros((len(names), frames - 1, 3))
+    clip = render_long(seed, frames)
+    first = next(clip)
+    for tracker in opened:
+        tracker.init(first.image, first.box)
+    for number, frame in enumerate(clip):
+        for row, tracker in zip(rows, opened, strict=True):
+            track = tracker.update(frame.image)
+            row[number] = overlap(track.box, frame.box) * frame.visible, frame.visible, track.score or 0.0
+    for tracker in opened:
+        tracker.close()
+    yield from zip(names, rows, strict=True)
+
+
+def table(clips: list[Frames], curve: bool) -> dict[str, object]:
+    """Return the F-score of several clips with its precision and recall, and the recall whatever the score."""
+    limits = np.unique(np.quantile(np.concatenate([rows[:, 2] for rows in clips]), np.linspace(0, 1, _LIMITS)))
+    points = np.mean([precision_recall(rows, limits) for rows in clips], axis=0)
+    f = 2 * points[0] * points[1] / np.maximum(points[0] + points[1], 1e-9)
+    best = int(f.argmax())
+    names = ("f", "precision", "recall", "recall_of_all", "score")
+    values = (f[best], points[0, best], points[1, best], points[1, 0], limits[best])
+    row: dict[str, object] = {name: round(float(value), 3) for name, value in zip(names, values, strict=True)}
+    return row | ({"curve": points.T.round(3).tolist()} if curve else {})
+
+
+def precision_recall(rows: Frames, limits: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return precision and recall ``(2, n)`` of one clip at each limit of the score."""
+    overlaps, seen, scores = rows.T
+    reached = scores >= limits[:, None]
+    total = (reached * overlaps).sum(axis=1)
+    return np.stack(
+        [np.where(reached.any(axis=1), total / np.maximum(reached.sum(axis=1), 1), 1.0), total / seen.sum()]
+    )
+
+
+if __name__ == "__main__":
+    tyro.cli(main)
