@@ -50,3 +50,7 @@ class StateMachine:
         else:
             self.state = "unsure" if value < limits.unsure_below else "tracking"
         return self.state
+
+    def regain(self) -> None:
+        """Count the target as found, by evidence from elsewhere."""
+        self._doubtful, self.state = 0, "tracking"

@@ -6,7 +6,6 @@ No engine is held here: `Following.aim` says what to search, and whoever owns an
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -19,8 +18,9 @@ from psiamfcpp.models.arch import opened
 from psiamfcpp.runtime import Engine
 from psiamfcpp.spec import Calibration, ModelSpec
 from psiamfcpp.trackers.contract import State, Track
+from psiamfcpp.trackers.siamfcpp.camera import STILL, Camera
 from psiamfcpp.trackers.siamfcpp.confidence import StateMachine, confidence
-from psiamfcpp.trackers.siamfcpp.contest import Contest
+from psiamfcpp.trackers.siamfcpp.hunt import Hunt, lies_in
 from psiamfcpp.trackers.siamfcpp.procedure import (
     Estimate,
     FloatMap,
@@ -34,14 +34,15 @@ Search = Callable[[Image, Any], tuple[FloatMap, FloatMap]]
 """`Engine.search`"""
 
 # Running means over about 10 frames. Just before a target disappears it is partly occluded and its size and speed are
-# underestimated; a mean is not. A lost target keeps its velocity for 30 frames (1 s).
-_MEMORY_RATE, _COAST_FRAMES = 0.1, 30
-# After this many frames without the target, what is re-acquired away from its expected place may be another object.
-_UNSEEN = 3
+# underestimated; a mean is not.
+_MEMORY_RATE = 0.1
+# After this many frames without the target, what is re-acquired away from its expected place may be another object; for
+# _WATCH frames the expected place is looked at as well.
+_UNSEEN, _WATCH = 3, 25
+# After this many frames without the target it is searched for elsewhere.
+SEARCH_AFTER = 5
 # A frame whose grey levels, at one pixel in 16 by 16, spread by less than this shows nothing but noise.
 _BLANK_SPREAD, _SAMPLED = 1.5, 16
-# The search region of a lost target is this much larger than that of a followed one.
-_LOST_REACH = 1.3
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,6 +82,7 @@ class Following:
         self.first = Track((x, y, w, h), 1.0, self._plain_state)
         cells = spec.arch.score_size(spec.search_size, spec.template_size)
         self._window = self._procedure.window(cells)
+        self._flat = np.ones_like(self._window)
         # Half the width of the region in which targets can be found, in pixels of the search crop.
         self._reach = cells * spec.arch.stride / 2
         self._buffer = np.empty((spec.search_size, spec.search_size, 3), np.uint8)
@@ -89,8 +91,9 @@ class Following:
         self._fill = self._procedure.fill(frame)
         self._states = StateMachine(self._limits)
         self._velocity = (0.0, 0.0)
-        self._unseen_for = self._lost_for = 0
-        self._contest: Contest | None = None
+        self._unseen_for = self._watch = 0
+        self._camera = Camera()
+        self._hunt: Hunt | None = None
         size = spec.template_size
         self._kernels = engine.template(self._procedure.crop(frame, self._target, size, size, self._fill, None))
 
@@ -105,7 +108,7 @@ class Following:
             UserError: the frame is no such image.
         """
         check_frame(frame)
-        return self.look_at(frame, self._where_to_look(frame.shape), out)
+        return self.look_at(frame, self._target, out)
 
     def update(self, frame: Image, search: Search) -> Track:
         """Find the target in the next frame; takes a frame ``(H, W, 3)`` uint8, BGR, and the engine's search."""
@@ -145,32 +148,35 @@ class Following:
         return self._judge(frame, look.around, found, value, search)
 
     def _judge(self, frame: Image, around: Target, found: Estimate, value: float, search: Search) -> Track:
-        """Move as far as the confidence allows, and return the target with its state."""
-        was_lost = self._states.state == "lost"
-        guess, gone_on = self._target, self._gone_on(self._target, frame)
-        expected = _lies_in(found.target, self._seen if was_lost else gone_on)
+        """Follow as the procedure does, and look elsewhere as well where that has lost the target."""
+        if self._hunt:
+            motion = self._camera.step(frame, self._target)
+            if motion is None:
+                return Track(self._box(), value, self._states.state)
+            self._hunt.go_on(motion)
+        self._target = self._moved(around, found, self._rate(found), frame)
+        expected = self._hunt is None or lies_in(found.target, self._hunt.place)
         state = self._states.step(value, elsewhere=not expected)
         if state == "tracking":
-            last_seen = self._gone_on(self._seen, frame)
-            if self._unseen_for >= _UNSEEN and not _lies_in(found.target, last_seen):
-                self._contest = Contest(last_seen, self._velocity)
-            self._target = self._moved(around, found, self._rate(found), frame)
+            if expected:
+                self._watch = 0
+            elif self._unseen_for >= _UNSEEN:
+                self._watch = _WATCH
+            self._unseen_for = 0
+        else:
+            self._unseen_for += 1
+            if self._hunt is None:
+                self._hunt = Hunt(self._seen, self._velocity)
+                self._camera.step(frame, self._target)
+                self._hunt.go_on(STILL)
+        if self._unseen_for >= SEARCH_AFTER or (self._watch and not self._unseen_for):
+            value = self._look_elsewhere(frame, found.score, value, search)
+        if not self._unseen_for and not self._watch:
             self._see()
-            value = self._contested(frame, found.score, value, search)
-            return Track(self._box(), value, state)
-        self._unseen_for += 1
-        self._seen = self._gone_on(self._seen, frame)
-        self._lost_for = self._lost_for + 1 if state == "lost" else 0
-        if state == "lost":
-            self._contest = None
-        if state == "unsure" and value < self._limits.lost_below and not expected:
-            self._target = gone_on
-        elif around == guess:
-            self._target = self._moved(guess, found, 0.0, frame)
-        return Track(self._box(), value, state)
+        return Track(self._box(), value, self._states.state)
 
-    def _contested(self, frame: Image, score: float, value: float, search: Search) -> float:
-        """Search the expected place as well, while a re-detection is verified, and switch to what wins there.
+    def _look_elsewhere(self, frame: Image, score: float, value: float, search: Search) -> float:
+        """Search one more place, and switch to what has proved to be the target there.
 
         Args:
             frame: the frame that is searched.
@@ -181,37 +187,27 @@ class Following:
         Returns:
             The confidence in what is followed from now on.
         """
-        contest, limits, spec = self._contest, self._limits, self._spec
-        if contest is None:
-            return value
-        around = contest.place
+        hunt, watching = self._hunt, not self._unseen_for
+        assert hunt is not None
+        self._watch = max(self._watch - watching, 0)
+        reach = self._reach / self._procedure.zoom(hunt.place, self._spec)
+        around = hunt.aim(reach, frame.shape, near=watching)
         look = self.look_at(frame, around)
         scores, boxes = search(look.region, look.kernels)
-        scale, middle = self._procedure.zoom(around, spec), self._procedure.middle(spec.search_size)
-        scores = hidden(scores, boxes, around, self._target, scale, middle)
-        found, apart = self.read(around, scores, boxes)
-        rival = confidence(found.score, apart, limits)
-        won = contest.judge(found.target, rival >= limits.regain_above, found.score - score)
-        if won:
-            self._target = self._seen = dataclasses.replace(around, cx=found.target.cx, cy=found.target.cy)
-            self._velocity = contest.velocity
-        if won or contest.looks_left == 0:
-            self._contest = None
-        return rival if won else value
-
-    def _where_to_look(self, frame_shape: tuple[int, ...]) -> Target:
-        """Return the target's place; while lost also, in turn, its last seen place and a growing region about it."""
-        if self._lost_for % 2 == 0:
-            return self._target
-        t = dataclasses.replace(self._seen, w=self._seen.w * _LOST_REACH, h=self._seen.h * _LOST_REACH)
-        column, row = spiral(self._lost_for // 2 + 1)
-        step = self._reach / self._procedure.zoom(t, self._spec)
-        height, width = frame_shape[:2]
-        cx, cy = t.cx + column * step, t.cy + row * step
-        if not (0 <= cx < width and 0 <= cy < height):
-            # Rather than search outside the frame, search the last seen place again.
-            return t
-        return Target(cx, cy, t.w, t.h)
+        if watching:
+            zoom, middle = self._procedure.zoom(around, self._spec), self._procedure.middle(self._spec.search_size)
+            scores = hidden(scores, boxes, around, self._target, zoom, middle)
+        window = self._window if hunt.rival else self._flat
+        found = self._procedure.estimate(scores, boxes, around, self._spec, window)
+        rival = confidence(found.score, contrast(scores, boxes, found.cell), self._limits)
+        target = self._moved(around, found, self._rate(found) if hunt.rival else 1.0, frame)
+        if not hunt.judge(target, rival, found.score - score, self._limits):
+            return value
+        self._target = target
+        self._watch = 0 if watching or lies_in(target, hunt.place) else _WATCH
+        self._unseen_for, hunt.rival = 0, None
+        self._states.regain()
+        return rival
 
     def _moved(self, around: Target, found: Estimate, rate: float, frame: Image) -> Target:
         return self._procedure.move(around, found, rate, frame.shape, self._smallest)
@@ -222,45 +218,18 @@ class Following:
     def _see(self) -> None:
         """Note where the target was seen, and how fast it moves."""
         t, before = self._target, self._seen
-        if self._unseen_for == 0:
+        if self._hunt is None:
             vx, vy = self._velocity
             dx, dy = t.cx - before.cx, t.cy - before.cy
             self._velocity = (vx + _MEMORY_RATE * (dx - vx), vy + _MEMORY_RATE * (dy - vy))
         w, h = (b + _MEMORY_RATE * (a - b) for a, b in ((t.w, before.w), (t.h, before.h)))
-        self._seen, self._unseen_for, self._lost_for = Target(t.cx, t.cy, w, h), 0, 0
-
-    def _gone_on(self, t: Target, frame: Image) -> Target:
-        """Return a target one frame later, at its last known velocity: most targets disappear behind an obstacle."""
-        if self._unseen_for > _COAST_FRAMES:
-            return t
-        (vx, vy), (height, width) = self._velocity, frame.shape[:2]
-        return Target(min(max(t.cx + vx, 0.0), width - 1.0), min(max(t.cy + vy, 0.0), height - 1.0), t.w, t.h)
+        self._seen, self._hunt = Target(t.cx, t.cy, w, h), None
+        self._camera.forget()
 
     def _box(self) -> Box:
         return from_centre(self._target.cx, self._target.cy, self._target.w, self._target.h)
 
 
-def _lies_in(found: Target, box: Target) -> bool:
-    return abs(found.cx - box.cx) < box.w / 2 and abs(found.cy - box.cy) < box.h / 2
-
-
 def _blank(frame: Image) -> bool:
     """Return whether a frame shows nothing: a lost video signal, a covered lens."""
     return bool(frame[::_SAMPLED, ::_SAMPLED].std(axis=(0, 1)).max() < _BLANK_SPREAD)
-
-
-def spiral(n: int) -> tuple[int, int]:
-    """Return column and row of the square to search in the ``n``-th search about the place of the loss (from 1).
-
-    Every other search is at the place of the loss itself, where most targets reappear. Those between walk rings of
-    squares about it; a ring is entered only when the one inside it is complete. After four rings the walk begins anew.
-    """
-    if n % 2:
-        return 0, 0
-    k = (n // 2 - 1) % sum(8 * r for r in range(1, 5))
-    ring = 1
-    while k >= 8 * ring:
-        k -= 8 * ring
-        ring += 1
-    side, along = divmod(k, 2 * ring)
-    return [(along - ring, -ring), (ring, along - ring), (ring - along, ring), (-ring, ring - along)][side]
