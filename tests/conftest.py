@@ -178,7 +178,7 @@ class BlobEngine:
         return len(self.templates)
 
     def search(self, crop: Image, kernels: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        assert kernels == len(self.templates), "kernels of an older target"
+        assert 1 <= kernels <= len(self.templates)
         return self._see(crop)
 
     def search_many(self, crops: Image, kernels: list[int]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:

@@ -75,7 +75,7 @@ class Candidate:
         cropped = time.perf_counter()
         answer = engine.search(look.region, look.kernels)
         answered = time.perf_counter()
-        target.conclude(frame, look, *answer, engine.search)
+        target.conclude(frame, look, *answer, engine)
         return Step(cropped - start, answered - cropped, time.perf_counter() - answered)
 
 

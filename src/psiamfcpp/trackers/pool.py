@@ -133,14 +133,14 @@ class _OneEngine:
     def update(self, frame: Image) -> dict[int, Track]:
         engine, count = self._tracker.engine, len(self.targets)
         if count <= 1:
-            return {number: target.update(frame, engine.search) for number, target in self.targets.items()}
+            return {number: target.update(frame, engine) for number, target in self.targets.items()}
         if len(self._regions) < count:
             self._regions = np.empty((count, *self._regions.shape[1:]), np.uint8)
         tracks = update_many(engine, list(self.targets.values()), frame, self._regions[:count])
         return dict(zip(self.targets, tracks, strict=True))
 
     def update_one(self, number: int, frame: Image) -> Track:
-        return self.targets[number].update(frame, self._tracker.engine.search)
+        return self.targets[number].update(frame, self._tracker.engine)
 
     def close(self) -> None:
         self._tracker.close()

@@ -60,18 +60,21 @@ def test_a_place_outside_the_frame_is_not_looked_at() -> None:
 @pytest.mark.parametrize(
     ("place", "values", "leads", "won"),
     [
-        (FAR, [0.95] * 5, [0.1] * 5, 5),
-        (FAR, [0.95] * 4, [0.1] * 4, None),
+        (FAR, [0.9] * 5, [0.1] * 5, 5),
+        (FAR, [0.9] * 4, [0.1] * 4, None),
+        # surer looks do not count for more
+        (FAR, [0.999] * 5, [0.1] * 5, 5),
+        # ln 9 is 2.197; ln 3 is half of that
+        (FAR, [0.75] * 12, [0.5] * 12, 10),
+        (PLACE, [0.75] * 4 + [0.95] * 5, [0.5] * 9, 7),
         (FAR, [0.95] * 9, [0.0] * 9, None),
-        (FAR, [0.85] * 9, [0.5] * 9, None),
-        # at the place more likely than not is enough to begin with
-        (PLACE, [0.6, 0.7] + [0.95] * 5, [0.5] * 7, 7),
+        (FAR, [0.5] * 40, [0.5] * 40, None),
         # one look that speaks against it, and it has to begin anew
         (FAR, [0.95] * 4 + [0.4] + [0.95] * 5, [0.5] * 10, 10),
-        (FAR, [0.95] * 12, [-0.1] * 6 + [0.1] * 6, 9),
+        (FAR, [0.95] * 12, [-0.1] * 5 + [0.1] * 7, 11),
     ],
 )
-def test_a_rival_is_proved_by_five_frames(
+def test_a_rival_is_proved_by_the_evidence_of_five_sure_frames(
     place: Target, values: list[float], leads: list[float], won: int | None
 ) -> None:
     hunt = Hunt(PLACE, (0, 0))

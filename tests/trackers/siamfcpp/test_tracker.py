@@ -15,7 +15,7 @@ from psiamfcpp import Track, Tracker, UserError
 from psiamfcpp.geometry import Box, centre_error, overlap
 from psiamfcpp.spec import TEMPLATE_SIZE
 from psiamfcpp.trackers.siamfcpp.confidence import LOST_AFTER
-from psiamfcpp.trackers.siamfcpp.following import SEARCH_AFTER
+from psiamfcpp.trackers.siamfcpp.following import LOOK_EVERY, SEARCH_AFTER
 
 Draw = Callable[..., Any]
 START: Box = (100, 80, 40, 30)
@@ -115,7 +115,7 @@ def test_template_and_search_crops_are_laid_about_the_target(blob_engine: Any, b
     # outside the frame: the first frame's mean, whatever was drawn there
     grey = blob_frame(START).mean()
     begun(blob_frame, (0, 0, 40, 30)).update(blob_frame((0, 0, 40, 30)))
-    assert blob_engine.searches[-1][0, 0] == pytest.approx([grey] * 3, abs=1)
+    assert blob_engine.searches[-1][0, 0] == pytest.approx([grey] * 3, abs=2)
 
 
 # states
@@ -235,6 +235,27 @@ def test_no_frame_costs_more_than_two_looks(blob_engine: Any, blob_frame: Draw) 
     assert max(looks((230, 170, 40, 30)) for _ in range(100)) == 2
     # the place where it was expected has been watched for long enough
     assert looks((230, 170, 40, 30)) == 1
+
+
+def test_a_find_must_be_like_later_looks_of_the_target_too(blob_engine: Any, blob_frame: Draw) -> None:
+    search = blob_engine.search
+
+    def search_by_look(crop: Any, kernels: int) -> Any:
+        scores, boxes = search(crop, kernels)
+        return (scores if kernels == 1 else np.full_like(scores, blob_engine.absent)), boxes
+
+    blob_engine.search = search_by_look
+    tracker = begun(blob_frame)
+    for _ in range(3 * LOOK_EVERY):
+        tracker.update(blob_frame(START))
+    assert len(blob_engine.templates) == 4
+    for _ in range(LOST_AFTER):
+        tracker.update(blob_frame(None))
+    boxes = [tracker.update(blob_frame((270, 200, 40, 30))).box for _ in range(60)]
+    assert max(centre_error(box, START) for box in boxes) < 1
+    blob_engine.search = search
+    boxes = [tracker.update(blob_frame((270, 200, 40, 30))).box for _ in range(60)]
+    assert centre_error(boxes[-1], (270, 200, 40, 30)) < 1
 
 
 def test_a_video_that_stands_still_proves_nothing(blob_engine: Any, blob_frame: Draw) -> None:

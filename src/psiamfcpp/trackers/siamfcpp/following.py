@@ -6,7 +6,6 @@ No engine is held here: `Following.aim` says what to search, and whoever owns an
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -30,9 +29,6 @@ from psiamfcpp.trackers.siamfcpp.procedure import (
     hidden,
 )
 
-Search = Callable[[Image, Any], tuple[FloatMap, FloatMap]]
-"""`Engine.search`"""
-
 # Running means over about 10 frames. Just before a target disappears it is partly occluded and its size and speed are
 # underestimated; a mean is not.
 _MEMORY_RATE = 0.1
@@ -41,6 +37,8 @@ _MEMORY_RATE = 0.1
 _UNSEEN, _WATCH = 3, 25
 # After this many frames without the target it is searched for elsewhere.
 SEARCH_AFTER = 5
+# Kernels of later looks are kept beside those of the first frame, one after this many sure frames in a row.
+_LOOKS, LOOK_EVERY = 2, 30
 # A frame whose grey levels, at one pixel in 16 by 16, spread by less than this shows nothing but noise.
 _BLANK_SPREAD, _SAMPLED = 1.5, 16
 
@@ -91,11 +89,10 @@ class Following:
         self._fill = self._procedure.fill(frame)
         self._states = StateMachine(self._limits)
         self._velocity = (0.0, 0.0)
-        self._unseen_for = self._watch = 0
+        self._unseen_for = self._watch = self._sure_for = 0
         self._camera = Camera()
         self._hunt: Hunt | None = None
-        size = spec.template_size
-        self._kernels = engine.template(self._procedure.crop(frame, self._target, size, size, self._fill, None))
+        self._kernels, self._later = engine.template(self._template(frame)), list[Any]()
 
     def aim(self, frame: Image, out: Image | None = None) -> Look:
         """Return what to search in the next frame; the state stays as it is.
@@ -110,10 +107,10 @@ class Following:
         check_frame(frame)
         return self.look_at(frame, self._target, out)
 
-    def update(self, frame: Image, search: Search) -> Track:
-        """Find the target in the next frame; takes a frame ``(H, W, 3)`` uint8, BGR, and the engine's search."""
+    def update(self, frame: Image, engine: Engine) -> Track:
+        """Find the target in the next frame; takes a frame ``(H, W, 3)`` uint8, BGR, and the engine it started on."""
         look = self.aim(frame)
-        return self.conclude(frame, look, *search(look.region, look.kernels), search)
+        return self.conclude(frame, look, *engine.search(look.region, look.kernels), engine)
 
     def look_at(self, frame: Image, around: Target, out: Image | None = None) -> Look:
         """Return the search region about a given place; the state stays as it is."""
@@ -127,7 +124,7 @@ class Following:
         found = self._procedure.estimate(scores, boxes, around, self._spec, self._window)
         return found, contrast(scores, boxes, found.cell)
 
-    def conclude(self, frame: Image, look: Look, scores: FloatMap, boxes: FloatMap, search: Search) -> Track:
+    def conclude(self, frame: Image, look: Look, scores: FloatMap, boxes: FloatMap, engine: Engine) -> Track:
         """Update the state by the network's answer, and return where the target is.
 
         Args:
@@ -135,7 +132,7 @@ class Following:
             look: what `aim` gave for it.
             scores: ``(N, N)``.
             boxes: ``(N, N, 4)`` as x0, y0, x1, y1 in pixels of the region.
-            search: the engine's search, for a second region while a re-detection is verified.
+            engine: that the target started on, for a second region and for looks to keep.
         """
         if not self._plain and _blank(frame):
             # No evidence: the target is where it was, and is searched for there first when the video is back.
@@ -145,9 +142,9 @@ class Following:
             self._target = self._moved(self._target, found, self._rate(found), frame)
             return Track(self._box(), found.score, self._plain_state)
         value = confidence(found.score, apart, self._limits)
-        return self._judge(frame, look.around, found, value, search)
+        return self._judge(frame, look.around, found, value, engine)
 
-    def _judge(self, frame: Image, around: Target, found: Estimate, value: float, search: Search) -> Track:
+    def _judge(self, frame: Image, around: Target, found: Estimate, value: float, engine: Engine) -> Track:
         """Follow as the procedure does, and look elsewhere as well where that has lost the target."""
         if self._hunt:
             motion = self._camera.step(frame, self._target)
@@ -170,19 +167,20 @@ class Following:
                 self._camera.step(frame, self._target)
                 self._hunt.go_on(STILL)
         if self._unseen_for >= SEARCH_AFTER or (self._watch and not self._unseen_for):
-            value = self._look_elsewhere(frame, found.score, value, search)
+            value = self._look_elsewhere(frame, found.score, value, engine)
         if not self._unseen_for and not self._watch:
             self._see()
+            self._remember(frame, value, engine)
         return Track(self._box(), value, self._states.state)
 
-    def _look_elsewhere(self, frame: Image, score: float, value: float, search: Search) -> float:
+    def _look_elsewhere(self, frame: Image, score: float, value: float, engine: Engine) -> float:
         """Search one more place, and switch to what has proved to be the target there.
 
         Args:
             frame: the frame that is searched.
             score: of what is followed.
             value: the confidence in it.
-            search: the engine's search.
+            engine: that the target started on.
 
         Returns:
             The confidence in what is followed from now on.
@@ -193,7 +191,8 @@ class Following:
         reach = self._reach / self._procedure.zoom(hunt.place, self._spec)
         around = hunt.aim(reach, frame.shape, near=watching)
         look = self.look_at(frame, around)
-        scores, boxes = search(look.region, look.kernels)
+        kernels = [self._kernels, *self._later]
+        scores, boxes = engine.search(look.region, kernels[hunt.turn % len(kernels)])
         if watching:
             zoom, middle = self._procedure.zoom(around, self._spec), self._procedure.middle(self._spec.search_size)
             scores = hidden(scores, boxes, around, self._target, zoom, middle)
@@ -225,6 +224,17 @@ class Following:
         w, h = (b + _MEMORY_RATE * (a - b) for a, b in ((t.w, before.w), (t.h, before.h)))
         self._seen, self._hunt = Target(t.cx, t.cy, w, h), None
         self._camera.forget()
+
+    def _remember(self, frame: Image, value: float, engine: Engine) -> None:
+        """Keep what the target looks like now, from time to time and where it is surely seen."""
+        self._sure_for = self._sure_for + 1 if value >= self._limits.regain_above else 0
+        if self._sure_for == LOOK_EVERY:
+            self._later = [*self._later[1 - _LOOKS :], engine.template(self._template(frame))]
+            self._sure_for = 0
+
+    def _template(self, frame: Image) -> Image:
+        size = self._spec.template_size
+        return self._procedure.crop(frame, self._target, size, size, self._fill, None)
 
     def _box(self) -> Box:
         return from_centre(self._target.cx, self._target.cy, self._target.w, self._target.h)

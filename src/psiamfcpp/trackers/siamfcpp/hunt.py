@@ -8,7 +8,7 @@ a rival of what is followed, is itself followed, and must prove itself in severa
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +24,8 @@ _COAST_FRAMES = 30
 _SIZES = (1.3, 1.0, 1.7)
 # Tiles overlap, since targets at the rim of a search region are found less well.
 _OVERLAP = 0.85
-# Frames in a row in which a rival must lead, and frames after which one that does not is given up.
+# A rival must give the evidence of this many looks at the limit for re-acquiring a target; after _PATIENCE looks one
+# that does not is given up.
 _PROOF, _PATIENCE = 5, 25
 
 
@@ -33,10 +34,11 @@ class Rival:
     """Something that may be the target, beside what is followed."""
 
     target: Target
-    values: list[float] = field(default_factory=list)
-    """the confidence in it, frame by frame"""
-    leads: list[float] = field(default_factory=list)
-    """its score less the score of what is followed"""
+    looks: int = 0
+    evidence: float = 0.0
+    """sum of the log-odds that the looks gave, no look counting for more than one at `Calibration.regain_above`"""
+    lead: float = 0.0
+    """sum of its scores less those of what is followed"""
 
 
 class Hunt:
@@ -53,6 +55,11 @@ class Hunt:
         self.rival: Rival | None = None
         self._velocity, self._age, self._looks, self._round = velocity, 0, 0, -1
         self._tiles: NDArray[np.float64] = np.empty((0, 2))
+
+    @property
+    def turn(self) -> int:
+        """Which look of the target is compared: 0, the first, to find a rival, and one after the other to prove it."""
+        return self.rival.looks if self.rival else 0
 
     def go_on(self, motion: Motion) -> None:
         """Move all places by one frame: with the camera, the target's also as it moved when it was last seen.
@@ -104,19 +111,22 @@ class Hunt:
             lead: its score less the score of what is followed.
             limits: of the confidence.
         """
-        if self.rival is None:
-            if value < (limits.unsure_below if lies_in(found, self.place) else limits.regain_above):
-                return False
-            self.rival = Rival(found)
-        rival = self.rival
-        rival.target = found
-        rival.values.append(value)
-        rival.leads.append(lead)
-        if value < limits.unsure_below or len(rival.values) > _PATIENCE:
+        if value < limits.unsure_below or (self.rival and self.rival.looks == _PATIENCE):
             self.rival = None
             return False
-        values, leads = rival.values[-_PROOF:], rival.leads[-_PROOF:]
-        return len(values) == _PROOF and sum(values) >= _PROOF * limits.regain_above and sum(leads) > 0
+        rival = self.rival = self.rival or Rival(found)
+        enough = _log_odds(limits.regain_above)
+        rival.target = found
+        rival.looks += 1
+        rival.evidence += min(_log_odds(value), enough)
+        rival.lead += lead
+        # A little less, since sums are rounded.
+        return rival.looks >= _PROOF and rival.evidence >= (_PROOF - 1e-6) * enough and rival.lead > 0
+
+
+def _log_odds(value: float) -> float:
+    value = min(max(value, 1e-6), 1 - 1e-6)
+    return math.log(value / (1 - value))
 
 
 def lies_in(found: Target, box: Target) -> bool:

@@ -93,7 +93,7 @@ class Tracker:
         Raises:
             UserError: `init` was not called, or the frame is no such image.
         """
-        return self.following.update(frame, self.engine.search)
+        return self.following.update(frame, self.engine)
 
     def look(self, frame: Image, around: Target) -> tuple[Estimate, float]:
         """Return what one search region says; the state stays as it is.
@@ -159,6 +159,6 @@ def update_many(engine: Engine, targets: Sequence[Following], frame: Image, regi
     looks = [target.aim(frame, out) for target, out in zip(targets, regions, strict=True)]
     scores, boxes = engine.search_many(np.asarray(regions), [look.kernels for look in looks])
     return [
-        target.conclude(frame, look, scores[i], boxes[i], engine.search)
+        target.conclude(frame, look, scores[i], boxes[i], engine)
         for i, (target, look) in enumerate(zip(targets, looks, strict=True))
     ]
