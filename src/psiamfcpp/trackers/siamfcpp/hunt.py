@@ -58,8 +58,8 @@ class Hunt:
 
     @property
     def turn(self) -> int:
-        """Which look of the target is compared: 0, the first, to find a rival, and one after the other to prove it."""
-        return self.rival.looks if self.rival else 0
+        """Number of the look: those of the target are compared in turn, to find a rival and to prove it."""
+        return self.rival.looks if self.rival else self._looks // 2
 
     def go_on(self, motion: Motion) -> None:
         """Move all places by one frame: with the camera, the target's also as it moved when it was last seen.
