@@ -48,8 +48,8 @@ def test_each_target_has_a_state_of_its_own(blob_engine: Any, blob_frame: Draw) 
     pool = TargetPool()
     for box in (A, B):
         pool.add(scene(blob_frame, A, B), box)
-    for _ in range(10):
-        tracks = pool.update(scene(blob_frame, B))
+    for t in range(10):
+        tracks = pool.update(scene(blob_frame, moved(B, t % 2, 0)))
     assert [track.state for track in tracks.values()] == ["lost", "tracking"]
 
 

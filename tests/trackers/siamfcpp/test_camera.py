@@ -58,6 +58,19 @@ def test_what_moves_in_the_box_is_left_out(ground: Image) -> None:
     assert found[:, 2] == pytest.approx((3, 0), abs=0.7)
 
 
+def test_what_moves_against_the_camera_is_found(ground: Image) -> None:
+    camera = Camera()
+    assert camera.movers(30) == []
+    for number in range(2):
+        frame = view(ground, np.array([[1.0, 0, 5.0 * number], [0, 1, 0]]))
+        for x, y in ((100 + 20 * number, 80), (500, 250 - 20 * number)):
+            frame[y - 15 : y + 15, x - 15 : x + 15] = 255
+        camera.step(frame, NOWHERE)
+    places = camera.movers(30)
+    for x, y in ((120, 80), (500, 230)):
+        assert min(np.hypot(x - u, y - v) for u, v in places[:3]) < 40
+
+
 def test_a_cut_is_no_motion_and_a_repeated_frame_says_so(ground: Image) -> None:
     camera, first = Camera(), view(ground, STILL)
     camera.step(first, NOWHERE)

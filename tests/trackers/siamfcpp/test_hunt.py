@@ -35,10 +35,22 @@ def test_the_place_stays_in_the_world_while_the_camera_pans() -> None:
     assert (hunt.place.cx, hunt.place.cy) == pytest.approx((90, 100))
 
 
-def test_every_other_look_is_at_the_place_and_the_others_cover_the_frame_from_there() -> None:
+def none(side: float) -> list[tuple[float, float]]:
+    return []
+
+
+def test_the_place_what_moves_and_tiles_that_cover_the_frame_are_looked_at_in_turn() -> None:
     hunt = Hunt(PLACE, (0, 0))
-    looks = [hunt.aim(40, SHAPE, near=False) for _ in range(400)]
-    assert looks[::2] == [PLACE] * 200
+    sides = []
+
+    def movers(side: float) -> list[tuple[float, float]]:
+        sides.append(side)
+        return [(50.0, 60.0), (500.0, 300.0)]
+
+    looks = [hunt.aim(40, SHAPE, movers) for _ in range(800)]
+    assert looks[::4] == [PLACE] * 200
+    assert looks[2::4] == [Target(50, 60, 40, 30), Target(500, 300, 40, 30)] * 100
+    assert sides == [pytest.approx(np.sqrt(40 * 30))] * 200
     tiles = looks[1::2]
     first = [t for t in tiles if t.w == tiles[0].w]
     distances = [np.hypot(t.cx - PLACE.cx, t.cy - PLACE.cy) for t in first]
@@ -53,28 +65,25 @@ def test_every_other_look_is_at_the_place_and_the_others_cover_the_frame_from_th
 
 def test_a_place_outside_the_frame_is_not_looked_at() -> None:
     hunt = Hunt(Target(-50, 80, 40, 30), (0, 0))
-    looks = [hunt.aim(40, SHAPE, near=False) for _ in range(50)]
+    looks = [hunt.aim(40, SHAPE, none) for _ in range(50)]
     assert all(0 <= t.cx < 640 and 0 <= t.cy < 360 for t in looks)
 
 
 @pytest.mark.parametrize(
     ("place", "values", "leads", "won"),
     [
-        (FAR, [0.9] * 5, [0.1] * 5, 5),
-        (FAR, [0.9] * 4, [0.1] * 4, None),
-        # surer looks do not count for more
-        (FAR, [0.999] * 5, [0.1] * 5, 5),
-        # ln 9 is 2.197; ln 3 is half of that
-        (FAR, [0.75] * 12, [0.5] * 12, 10),
-        (PLACE, [0.75] * 4 + [0.95] * 5, [0.5] * 9, 7),
+        (FAR, [0.95] * 5, [0.1] * 5, 5),
+        (FAR, [0.95] * 4, [0.1] * 4, None),
         (FAR, [0.95] * 9, [0.0] * 9, None),
-        (FAR, [0.5] * 40, [0.5] * 40, None),
+        (FAR, [0.85] * 9, [0.5] * 9, None),
+        # at the place more likely than not is enough to begin with
+        (PLACE, [0.6, 0.6] + [0.95] * 5, [0.5] * 7, 7),
         # one look that speaks against it, and it has to begin anew
         (FAR, [0.95] * 4 + [0.4] + [0.95] * 5, [0.5] * 10, 10),
-        (FAR, [0.95] * 12, [-0.1] * 5 + [0.1] * 7, 11),
+        (FAR, [0.95] * 12, [-0.1] * 6 + [0.1] * 6, 9),
     ],
 )
-def test_a_rival_is_proved_by_the_evidence_of_five_sure_frames(
+def test_a_rival_is_proved_by_five_frames(
     place: Target, values: list[float], leads: list[float], won: int | None
 ) -> None:
     hunt = Hunt(PLACE, (0, 0))
@@ -86,6 +95,6 @@ def test_a_rival_is_followed_and_one_that_cannot_lead_given_up() -> None:
     hunt = Hunt(PLACE, (0, 0))
     for number in range(25):
         hunt.judge(FAR, 0.95, -0.1, LIMITS)
-        assert hunt.rival and hunt.aim(40, SHAPE, near=False) == FAR, number
+        assert hunt.rival and hunt.aim(40, SHAPE, none) == FAR, number
     hunt.judge(FAR, 0.95, -0.1, LIMITS)
     assert hunt.rival is None

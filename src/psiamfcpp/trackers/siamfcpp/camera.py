@@ -22,6 +22,8 @@ _WINDOW, _LEVELS = (9, 9), 3
 _POINTS, _QUALITY, _APART = 60, 0.01, 4
 # Fewer points that move together than this, or a smaller share of all, are no camera motion: a cut, or water.
 _FEWEST, _SHARE = 12, 0.4
+# Places that move by themselves, of which so many are looked at.
+_MOVERS = 4
 # Two grey frames that differ by less than this on the mean show the same moment: the video stands still.
 _FROZEN = 0.05
 
@@ -31,10 +33,12 @@ class Camera:
 
     def __init__(self) -> None:
         self._before: NDArray[np.uint8] | None = None
+        self._change: NDArray[np.uint8] | None = None
+        self._factor = 1.0
 
     def forget(self) -> None:
         """Begin anew with the next frame."""
-        self._before = None
+        self._before = self._change = None
 
     def step(self, frame: Image, apart: Target) -> Motion | None:
         """Take the next frame and return how the camera moved.
@@ -47,10 +51,10 @@ class Camera:
             The motion; that of a camera at rest for the first frame, or where no motion is found (a cut). None where
             the frame repeats the one before: the video stands still.
         """
-        factor = min(_WIDTH / frame.shape[1], 1.0)
+        self._factor = factor = min(_WIDTH / frame.shape[1], 1.0)
         reduced = cv2.resize(frame, None, fx=factor, fy=factor, interpolation=cv2.INTER_AREA)
         grey = np.asarray(cv2.cvtColor(reduced, cv2.COLOR_BGR2GRAY), np.uint8)
-        before, self._before = self._before, grey
+        before, self._before, self._change = self._before, grey, None
         if before is None or before.shape != grey.shape:
             return STILL
         if cv2.norm(before, grey, cv2.NORM_L1) < _FROZEN * grey.size:
@@ -58,8 +62,29 @@ class Camera:
         motion = _similarity(before, grey, _without(grey.shape, apart, factor))
         if motion is None:
             return STILL
+        # Where the frame before shows nothing, nothing has changed.
+        warped = cv2.warpAffine(before, motion, grey.shape[::-1], dst=grey.copy(), borderMode=cv2.BORDER_TRANSPARENT)
+        self._change = np.asarray(cv2.absdiff(warped, grey), np.uint8)
         motion[:, 2] /= factor
         return motion
+
+    def movers(self, side: float) -> list[tuple[float, float]]:
+        """Return the places that changed most against the camera's motion, pixels of the last frame, the most first.
+
+        Args:
+            side: of what moves, in pixels.
+        """
+        if self._change is None:
+            return []
+        size = max(round(side * self._factor), 3)
+        change, places = cv2.blur(self._change, (size, size)), list[tuple[float, float]]()
+        while len(places) < _MOVERS:
+            _, most, _, (x, y) = cv2.minMaxLoc(change)
+            if most == 0:
+                break
+            places.append((x / self._factor, y / self._factor))
+            cv2.circle(change, (x, y), size, 0, cv2.FILLED)
+        return places
 
 
 def moved(t: Target, motion: Motion) -> Target:

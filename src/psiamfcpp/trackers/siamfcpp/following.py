@@ -189,7 +189,7 @@ class Following:
         assert hunt is not None
         self._watch = max(self._watch - watching, 0)
         reach = self._reach / self._procedure.zoom(hunt.place, self._spec)
-        around = hunt.aim(reach, frame.shape, near=watching)
+        around = hunt.place if watching and not hunt.rival else hunt.aim(reach, frame.shape, self._camera.movers)
         look = self.look_at(frame, around)
         kernels = [self._kernels, *self._later]
         scores, boxes = engine.search(look.region, kernels[hunt.turn % len(kernels)])

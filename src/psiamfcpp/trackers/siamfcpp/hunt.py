@@ -1,14 +1,15 @@
 """The search for a target that is out of sight: where to look next, and when what was found is the target.
 
 One place is looked at a frame, beside what the tracker follows: in turn where the target is expected, which stays put
-in the world and moves on as the target did, and the tiles of the whole frame, the nearest first. What is found becomes
-a rival of what is followed, is itself followed, and must prove itself in several frames.
+in the world and moves on as the target did, what moves by itself, and the tiles of the whole frame, the nearest first.
+What is found becomes a rival of what is followed, is itself followed, and must prove itself in several frames.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +18,9 @@ from psiamfcpp.spec import Calibration
 from psiamfcpp.trackers.siamfcpp.camera import Motion, moved
 from psiamfcpp.trackers.siamfcpp.procedure import Target
 
+Movers = Callable[[float], list[tuple[float, float]]]
+"""`Camera.movers`"""
+
 # A lost target keeps its velocity for 30 frames (1 s).
 _COAST_FRAMES = 30
 # Sizes in which the frame is searched, over that of the target when it was last seen, one for each round of the tiles:
@@ -24,8 +28,7 @@ _COAST_FRAMES = 30
 _SIZES = (1.3, 1.0, 1.7)
 # Tiles overlap, since targets at the rim of a search region are found less well.
 _OVERLAP = 0.85
-# A rival must give the evidence of this many looks at the limit for re-acquiring a target; after _PATIENCE looks one
-# that does not is given up.
+# Frames in a row in which a rival must lead, and frames after which one that does not is given up.
 _PROOF, _PATIENCE = 5, 25
 
 
@@ -34,11 +37,10 @@ class Rival:
     """Something that may be the target, beside what is followed."""
 
     target: Target
-    looks: int = 0
-    evidence: float = 0.0
-    """sum of the log-odds that the looks gave, no look counting for more than one at `Calibration.regain_above`"""
-    lead: float = 0.0
-    """sum of its scores less those of what is followed"""
+    values: list[float] = field(default_factory=list)
+    """the confidence in it, frame by frame"""
+    leads: list[float] = field(default_factory=list)
+    """its score less the score of what is followed"""
 
 
 class Hunt:
@@ -59,7 +61,7 @@ class Hunt:
     @property
     def turn(self) -> int:
         """Number of the look: those of the target are compared in turn, to find a rival and to prove it."""
-        return self.rival.looks if self.rival else self._looks // 2
+        return len(self.rival.values) if self.rival else self._looks // 4
 
     def go_on(self, motion: Motion) -> None:
         """Move all places by one frame: with the camera, the target's also as it moved when it was last seen.
@@ -78,20 +80,24 @@ class Hunt:
         if self.rival:
             self.rival.target = moved(self.rival.target, motion)
 
-    def aim(self, reach: float, frame_shape: tuple[int, ...], near: bool) -> Target:
+    def aim(self, reach: float, frame_shape: tuple[int, ...], movers: Movers) -> Target:
         """Return what to look at next, as centre and size of the target that may be there.
 
         Args:
             reach: half the side of the part of the frame in which a look at the place finds targets, pixels.
             frame_shape: ``(height, width, ...)``.
-            near: only where the target is expected.
+            movers: gives places of what moves by itself, for a side in pixels.
         """
         if self.rival:
             return self.rival.target
         self._looks += 1
         t, (height, width) = self.place, frame_shape[:2]
-        if near or (self._looks % 2 and 0 <= t.cx < width and 0 <= t.cy < height):
+        turn = self._looks % 4
+        if turn == 1 and 0 <= t.cx < width and 0 <= t.cy < height:
             return t
+        if turn == 3 and (places := movers(math.sqrt(t.w * t.h))):
+            cx, cy = places[self._looks // 4 % len(places)]
+            return Target(cx, cy, t.w, t.h)
         while True:
             if not len(self._tiles):
                 self._round += 1
@@ -111,22 +117,19 @@ class Hunt:
             lead: its score less the score of what is followed.
             limits: of the confidence.
         """
-        if value < limits.unsure_below or (self.rival and self.rival.looks == _PATIENCE):
+        if self.rival is None:
+            if value < (limits.unsure_below if lies_in(found, self.place) else limits.regain_above):
+                return False
+            self.rival = Rival(found)
+        rival = self.rival
+        rival.target = found
+        rival.values.append(value)
+        rival.leads.append(lead)
+        if value < limits.unsure_below or len(rival.values) > _PATIENCE:
             self.rival = None
             return False
-        rival = self.rival = self.rival or Rival(found)
-        enough = _log_odds(limits.regain_above)
-        rival.target = found
-        rival.looks += 1
-        rival.evidence += min(_log_odds(value), enough)
-        rival.lead += lead
-        # A little less, since sums are rounded.
-        return rival.looks >= _PROOF and rival.evidence >= (_PROOF - 1e-6) * enough and rival.lead > 0
-
-
-def _log_odds(value: float) -> float:
-    value = min(max(value, 1e-6), 1 - 1e-6)
-    return math.log(value / (1 - value))
+        values, leads = rival.values[-_PROOF:], rival.leads[-_PROOF:]
+        return len(values) == _PROOF and sum(values) >= _PROOF * limits.regain_above and sum(leads) > 0
 
 
 def lies_in(found: Target, box: Target) -> bool:
