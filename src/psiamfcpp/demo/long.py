@@ -9,7 +9,6 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Iterator
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -154,7 +153,7 @@ def _trees(
     for share in np.linspace(0.12, 0.9, _TREES) + rng.uniform(-0.06, 0.06, _TREES):
         x, y, _ = target.pose(float(share))
         width = rng.uniform(*_CROWN)
-        crown = cv2.resize(tree(rng), (96, 96))
+        crown = tree(rng)
         crown[..., :3] *= crown[..., 3:]
         scale = width / 68  # of its 96 pixels a crown fills about 68
         place = np.array([[scale, 0, x - 48 * scale], [0, scale, y - 48 * scale]])
