@@ -21,7 +21,8 @@ from hypothesis import HealthCheck, settings
 from numpy.typing import NDArray
 
 from psiamfcpp.demo.clip import DemoFrame, render
-from psiamfcpp.spec import FULL_WIDTHS, STRIDE, ModelSpec, first_cell, score_size
+from psiamfcpp.models.siamfcpp_alexnet import ARCHITECTURE
+from psiamfcpp.spec import ModelSpec
 
 Image = NDArray[np.uint8]
 BACKGROUND = 40
@@ -81,7 +82,7 @@ def tiny_model(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("model") / "tiny.safetensors"
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(0)
-        model = SiamFCpp(ModelSpec(widths=dict.fromkeys(FULL_WIDTHS, 8)))
+        model = SiamFCpp(ModelSpec(widths=dict.fromkeys(ARCHITECTURE.groups, 8)))
     save(path, model.eval())
     return path
 
@@ -96,7 +97,7 @@ def make_network() -> Callable[..., Any]:
 
     from psiamfcpp.models import SiamFCpp
 
-    uneven = {name: 3 + number % 4 for number, name in enumerate(FULL_WIDTHS)}
+    uneven = {name: 3 + number % 4 for number, name in enumerate(ARCHITECTURE.groups)}
 
     def make(seed: int = 0, widths: dict[str, int] | None = None, search_size: int = 303) -> SiamFCpp:
         network = SiamFCpp(ModelSpec(widths=widths or uneven, search_size=search_size))
@@ -189,17 +190,17 @@ class BlobEngine:
     def _see(self, crop: Image) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         self.searches.append(crop.copy())
         size = crop.shape[0]
-        cells, first = score_size(size), first_cell(size)
-        line = first + STRIDE * np.arange(cells, dtype=np.float32)
+        cells, first = ARCHITECTURE.score_size(size), ARCHITECTURE.first_cell(size)
+        line = first + ARCHITECTURE.stride * np.arange(cells, dtype=np.float32)
         x, y = np.meshgrid(line, line)
         scores = np.full((cells, cells), self.absent, np.float32)
         boxes = np.stack([x - 31, y - 31, x + 31, y + 31], axis=-1)
         seen = _measure(crop)
         if seen is not None:
             cx, cy, w, h = seen
-            last = first + STRIDE * (cells - 1)
-            if first - STRIDE / 2 <= min(cx, cy) and max(cx, cy) <= last + STRIDE / 2:
-                distance = np.hypot(x - cx, y - cy) / STRIDE
+            last = first + ARCHITECTURE.stride * (cells - 1)
+            if first - ARCHITECTURE.stride / 2 <= min(cx, cy) and max(cx, cy) <= last + ARCHITECTURE.stride / 2:
+                distance = np.hypot(x - cx, y - cy) / ARCHITECTURE.stride
                 shape = np.exp(-(distance**2) / 4)
                 scores = np.maximum(self.absent, self.peak * shape / shape.max()).astype(np.float32)
                 boxes = np.zeros((cells, cells, 4), np.float32)

@@ -13,7 +13,7 @@ from safetensors.torch import save_file
 
 from psiamfcpp.models import load, save
 from psiamfcpp.models.official import _RENAMES
-from psiamfcpp.spec import FULL_WIDTHS
+from psiamfcpp.models.siamfcpp_alexnet import ARCHITECTURE
 
 from .conftest import Run
 
@@ -30,7 +30,7 @@ def test_info_describes_a_narrow_model(run: Run, tiny_model: Path) -> None:
     neck = 4 * (8 * 8 * 9 + 8 + 16)
     head = 2 * (3 * (8 * 8 * 9 + 8) + 16) + 2 * (8 + 1 + 2) + (8 * 4 + 4 + 8) + 2
     assert facts["parameters"] == backbone + neck + head
-    assert facts["widths"] == dict.fromkeys(FULL_WIDTHS, 8)
+    assert facts["widths"] == dict.fromkeys(ARCHITECTURE.groups, 8)
     assert facts["search_size"] == 303
     assert facts["calibration"]["lost_below"] == 0.2
     assert facts["constants"]["test_lr"] == 0.5249642198880932

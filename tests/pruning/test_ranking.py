@@ -11,11 +11,12 @@ from torch import nn
 
 from psiamfcpp.errors import UserError
 from psiamfcpp.models import SiamFCpp
+from psiamfcpp.models.siamfcpp_alexnet import ARCHITECTURE
 from psiamfcpp.pruning import rank
 from psiamfcpp.pruning.groups import Group, find_groups
 from psiamfcpp.pruning.models import groups_of
 from psiamfcpp.pruning.ranking import map_ranks
-from psiamfcpp.spec import FULL_WIDTHS, ModelSpec
+from psiamfcpp.spec import ModelSpec
 
 from .conftest import WIDTHS
 
@@ -143,7 +144,7 @@ def test_groups_of_a_residual_network_with_grouped_convolutions(residual: nn.Mod
 def test_the_dependency_graph_finds_our_thirteen_groups(siamese: SiamFCpp, pair: tuple[torch.Tensor, ...]) -> None:
     ours = groups_of(ModelSpec(widths=dict(WIDTHS)))
     found = find_groups(siamese, tuple(crop[:1] for crop in pair))
-    assert list(ours) == list(FULL_WIDTHS)
+    assert list(ours) == list(ARCHITECTURE.groups)
     as_ours = {tuple(b.removesuffix(".conv") for b in g.blocks): g.width for g in found.values()}
     assert as_ours == {group.blocks: group.width for group in ours.values()}
 

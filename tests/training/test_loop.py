@@ -20,7 +20,8 @@ from psiamfcpp.errors import UserError
 from psiamfcpp.models import SiamFCpp, load
 from psiamfcpp.models.checkpoint import read
 from psiamfcpp.models.initial import init_neck_and_head
-from psiamfcpp.spec import FULL_WIDTHS, ModelSpec
+from psiamfcpp.models.siamfcpp_alexnet import ARCHITECTURE
+from psiamfcpp.spec import ModelSpec
 from psiamfcpp.training.batches import Batch
 from psiamfcpp.training.loop import PairLoss, train
 from psiamfcpp.training.options import LossWeights, PairOptions, RunOptions, Schedule, TrainOptions
@@ -33,7 +34,7 @@ RUN = RunOptions(bf16=False, workers=0, validation_pairs=8)
 def network(width: int = 6) -> SiamFCpp:
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(0)
-        model = SiamFCpp(ModelSpec(widths=dict.fromkeys(FULL_WIDTHS, width), search_size=191))
+        model = SiamFCpp(ModelSpec(widths=dict.fromkeys(ARCHITECTURE.groups, width), search_size=191))
     with torch.no_grad():
         model.backbone.conv1.conv.weight /= 57
     init_neck_and_head(model)

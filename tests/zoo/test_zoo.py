@@ -110,9 +110,9 @@ def test_a_folder_of_graphs_is_known_by_name_and_by_path(shelf: Path, tmp_path: 
 
 
 def test_the_default_is_a_pruned_network_in_eight_bits() -> None:
+    from psiamfcpp.models.siamfcpp_alexnet import ARCHITECTURE
     from psiamfcpp.runtime import open_engine
-    from psiamfcpp.spec import FULL_WIDTHS
 
     engine = open_engine(threads=1)
     assert engine.precision == "int8"
-    assert any(engine.spec.widths[name] < full for name, full in FULL_WIDTHS.items())
+    assert any(engine.spec.widths[name] < full for name, full in ARCHITECTURE.groups.items())

@@ -321,6 +321,15 @@ class Architecture:
             raise UserError(f"search size {search_size} leaves a score map of {cells} cells: {hint}")
         return cells
 
+    def first_cell(self, search_size: int, cells: int | None = None) -> int:
+        """Pixel of the search crop, in x and in y, at which cell 0 of the score map stands: 87 for SiamFC++.
+
+        Args:
+            search_size: side of the search crop, pixels.
+            cells: side of the score map; by default the architecture's.
+        """
+        return (search_size - 1 - ((cells or self.score_size(search_size)) - 1) * self.stride) // 2
+
     def exported(self, name: str) -> str:
         """Name of a layer in exported graphs."""
         return self[name].joined or name

@@ -84,10 +84,11 @@ def bench(
     """
     _check(engines, devices, threads, rounds, frames)
     threads = threads or usable_cores()
-    shots, box = _shots(sequence, frames)
     others = [choose(entry, TrackerOptions(threads=threads)) for entry in trackers]
     candidates = _ours(models, engines, devices, threads, watch)
     candidates += [speed.Candidate(choice.name, choice.open(), choice.kind) for choice in others]
+    # Not before all could be opened: rendering takes seconds.
+    shots, box = _shots(sequence, frames)
     cv2.setNumThreads(threads)
     measured = speed.Bench([speed.Timing(candidate) for candidate in candidates])
     for _ in watch.track(speed.run(measured, shots, box, rounds), "timings", rounds * len(candidates)):
