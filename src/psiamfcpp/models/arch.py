@@ -283,11 +283,8 @@ class Architecture:
         if name == PIXELS:
             return crop
         layer = self[name]
-        side = self._before_pool(layer, crop, template_size or self.template_size)
+        side = _before_pool(self, layer, crop, template_size or self.template_size)
         return side if layer.pool is None else -((layer.pool[0] - side) // layer.pool[1]) + 1
-
-    def _before_pool(self, layer: Layer, crop: int, template_size: int) -> int:
-        return OPERATIONS[layer.operation].side(layer, _sides_read(self, layer, crop, template_size))
 
     def macs(self, widths: Mapping[str, int], search_size: int) -> int:
         """Multiply-accumulates of one search crop: convolutions and correlations."""
@@ -314,7 +311,7 @@ class Architecture:
             raise UserError(f"search size {search_size} is not {size} plus a multiple of {self.stride}: {hint}")
         for layer, crop in itertools.product(self.layers, (size, search_size)):
             # Rounded, the grid of a pool would lie half a cell off, and graphs and network would differ.
-            if layer.pool and (self._before_pool(layer, crop, size) - layer.pool[0]) % layer.pool[1]:
+            if layer.pool and (_before_pool(self, layer, crop, size) - layer.pool[0]) % layer.pool[1]:
                 raise UserError(f"crops of {crop} pixels leave a rest in the pool of {layer.name}: {hint}")
         cells = self.side(self.outputs[0].name, search_size, size)
         if cells < 3:
@@ -353,11 +350,19 @@ def _weighted(layer: Layer) -> bool:
 @functools.lru_cache(maxsize=64)
 def _searched(arch: Architecture, search_size: int) -> list[tuple[Layer, list[int], int]]:
     """Layers of the search pass, with the sides of what they read and of their maps before the pool."""
-    rows = [layer for layer in arch.layers if "search" in arch.views[layer.name]]
-    read = [_sides_read(arch, layer, search_size, arch.template_size) for layer in rows]
+    size = arch.template_size
     return [
-        (layer, sides, OPERATIONS[layer.operation].side(layer, sides)) for layer, sides in zip(rows, read, strict=True)
+        (layer, _sides_read(arch, layer, search_size, size), _before_pool(arch, layer, search_size, size))
+        for layer in arch.layers
+        if "search" in arch.views[layer.name]
     ]
+
+
+# Kept, since every sum on the way would double the work.
+@functools.lru_cache(maxsize=4096)
+def _before_pool(arch: Architecture, layer: Layer, crop: int, template_size: int) -> int:
+    """Side of a layer's map before its pool."""
+    return OPERATIONS[layer.operation].side(layer, _sides_read(arch, layer, crop, template_size))
 
 
 def _sides_read(arch: Architecture, layer: Layer, crop: int, template_size: int) -> list[int]:
