@@ -110,6 +110,7 @@ def test_import_refuses_what_is_no_checkpoint_and_runs_nothing(run: Run, tmp_pat
     assert sorted(p.name for p in tmp_path.iterdir()) == ["given"]
 
 
+@pytest.mark.slow
 def test_import_converts_an_official_checkpoint(run: Run, tmp_path: Path, full_model: Path) -> None:
     model = load(full_model)
     official = {}

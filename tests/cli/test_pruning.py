@@ -287,6 +287,7 @@ def test_a_rank_table_alone_serves_no_other_criterion(run: Run, tiny_model: Path
     assert "is not of this model, whose widths differ" in run(*args).refused()
 
 
+@pytest.mark.slow
 def test_clips_held_out_of_training_are_not_ranked(run: Run, tiny_model: Path, clips: Path, tmp_path: Path) -> None:
     args = ("rank", tiny_model, "--data", f"folder:{clips}", "-o", tmp_path / "ranks.json", "--images", 2)
     assert "no usable box" in run(*args, "--held-out-every", 1).refused()

@@ -53,6 +53,7 @@ def normalised_rgb(bgr: Tensor) -> Tensor:
     return (bgr.flip(1) / 255 - mean[None, :, None, None]) / deviation[None, :, None, None]
 
 
+@pytest.mark.slow
 @torch.no_grad()
 def test_conv1_takes_bgr_levels(write, weights, crops):
     network = SiamFCpp()

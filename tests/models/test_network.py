@@ -151,6 +151,7 @@ def test_depthwise_correlation_against_a_loop(kernel_batch: int):
     torch.testing.assert_close(depthwise_correlation(features, kernels), expected)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kernel_batch", [1, 2])
 def test_gradients_of_the_correlation_are_those_of_finite_differences(kernel_batch: int):
     generator = torch.Generator().manual_seed(0)

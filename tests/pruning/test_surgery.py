@@ -109,6 +109,7 @@ def test_spec_keeps_all_but_the_widths() -> None:
     assert not pruned.training and prune_model(model.train(), Plan({"head.cls1": [1]})).training
 
 
+@pytest.mark.slow
 def test_the_papers_plan_gives_the_papers_parameters() -> None:
     from psiamfcpp.models.siamfcpp_alexnet import PAPER_KEEP
     from psiamfcpp.pruning.planning import kept_count
@@ -159,6 +160,7 @@ def test_plans_for_another_network_are_refused(siamese: SiamFCpp) -> None:
         prune_model(siamese, Plan({"conv9": [0]}))
 
 
+@pytest.mark.slow
 def test_the_example_runs(example: ModuleType, capsys: pytest.CaptureFixture[str]) -> None:
     example.main()
     printed = capsys.readouterr().out

@@ -55,7 +55,7 @@ def search_graph(spec: ModelSpec, layers: Mapping[str, Layer], ranges: Ranges) -
 
     Boxes are x0, y0, x1, y1 in pixels of the crop; S is free.
     """
-    graph = Builder(divided(layers, ranges.factors, spec.arch), ranges)
+    graph = Builder(divided(layers, ranges.factors, spec.arch.readers), ranges)
     cls, reg = _correlation(graph, spec)
     hidden = by_depth(row for row in spec.arch.part("head") if row.group)
     maps = walk(hidden, {"cls": cls, "reg": reg}, graph.layer)
