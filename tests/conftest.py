@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import os
 
 # Before torch is imported: the networks here are so small that threads cost more than they give.
@@ -239,16 +240,21 @@ def blob_engine(monkeypatch: pytest.MonkeyPatch) -> BlobEngine:
 def blob_frame() -> Callable[..., Image]:
     """Draws ``(x, y, w, h)``, whole pixels or not, as a bright rectangle on a dim ground; None draws the ground."""
 
-    def draw(box: tuple[float, float, float, float] | None, width: int = 320, height: int = 240) -> Image:
+    @functools.cache
+    def ground(width: int, height: int) -> Image:
         # squares of two shades: a frame of one shade would be a lost video signal
         squares = (np.arange(height)[:, None] // 20 + np.arange(width) // 20) % 2
-        frame = np.repeat(BACKGROUND - 6.0 + 12 * squares[..., None], 3, axis=2)
+        return np.repeat(BACKGROUND - 6 + 12 * squares[..., None], 3, axis=2).astype(np.uint8)
+
+    def draw(box: tuple[float, float, float, float] | None, width: int = 320, height: int = 240) -> Image:
+        frame = ground(width, height).copy()
         if box is not None:
             x, y, w, h = box
             columns = np.clip(np.minimum(np.arange(width) + 1, x + w) - np.maximum(np.arange(width), x), 0, 1)
             rows = np.clip(np.minimum(np.arange(height) + 1, y + h) - np.maximum(np.arange(height), y), 0, 1)
-            frame += (255 - frame) * np.outer(rows, columns)[..., None]
-        return frame.round().astype(np.uint8)
+            lit = np.ix_(np.flatnonzero(rows), np.flatnonzero(columns))
+            frame[lit] = (frame[lit] + (255.0 - frame[lit]) * np.outer(rows, columns)[lit][..., None]).round()
+        return frame
 
     return draw
 

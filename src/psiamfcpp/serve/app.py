@@ -54,8 +54,10 @@ life for 15 seconds; others get 409. Over REST, the header `X-Client` names the 
 **Token.** Where the server was started with one: `Authorization: Bearer TOKEN`, or the cookie that `POST /api/login`
 sets.
 """
+# Its schema and not the class, of which FastAPI would make a model anew for each code of each route.
+_REFUSAL = messages.Refusal.model_json_schema()
 _REFUSALS: dict[int | str, dict[str, Any]] = {
-    code: {"model": messages.Refusal, "description": what}
+    code: {"description": what, "content": {"application/json": {"schema": _REFUSAL}}}
     for code, what in {
         401: "no token, or a wrong one",
         403: "a foreign host or origin",
