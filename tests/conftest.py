@@ -29,7 +29,9 @@ Image = NDArray[np.uint8]
 BACKGROUND = 40
 
 # A verdict must not depend on how fast the machine is, nor on which examples chance draws in one run.
-settings.register_profile("psiamfcpp", deadline=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow])
+settings.register_profile(
+    "psiamfcpp", deadline=None, derandomize=True, max_examples=50, suppress_health_check=[HealthCheck.too_slow]
+)
 settings.load_profile("psiamfcpp")
 
 # Node ids, or their beginnings, of tests that may be skipped; the rest of a line after "#" says why.
