@@ -69,6 +69,7 @@ def moving_image() -> ModuleType:
     return module
 
 
+@pytest.mark.slow
 def test_the_moving_image_shows_every_third_frame_at_the_pace_of_the_video(
     tmp_path: Path, rendered_clip: list[DemoFrame], capsys: pytest.CaptureFixture[str]
 ) -> None:

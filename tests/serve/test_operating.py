@@ -19,7 +19,7 @@ from psiamfcpp.video.source import open_source
 
 from . import test_page
 from .conftest import BLOB, HEIGHT, WIDTH, Stream, served, until
-from .test_page import LIVE, green, place, shown_at
+from .test_page import LIVE, drag, green, place, shown_at
 
 pytestmark = pytest.mark.slow
 visit = test_page.visit
@@ -32,15 +32,6 @@ def page(visit: Callable[..., Any], address: str) -> Any:
     opened = visit(address, 1280, 800)
     opened.wait_for_selector(LIVE)
     return opened
-
-
-def drag(page: Any, box: tuple[float, ...]) -> None:
-    x, y, w, h = box
-    page.mouse.move(*place(page, x, y))
-    page.mouse.down()
-    page.mouse.move(*place(page, x + w / 2, y + h / 3))
-    page.mouse.move(*place(page, x + w, y + h))
-    page.mouse.up()
 
 
 def targets(follower: Follower) -> list[int]:

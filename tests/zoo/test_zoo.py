@@ -81,6 +81,7 @@ def test_no_card_is_left_without_its_model() -> None:
     assert {path.stem for path in FOLDER.glob("*.md")} <= set(zoo.names())
 
 
+@pytest.mark.slow
 def test_every_folder_of_graphs_is_of_a_shipped_model_and_small() -> None:
     assert zoo.DEFAULT_MODEL in {*zoo.names(), *zoo.graph_names()}
     for name in zoo.graph_names():
