@@ -41,7 +41,7 @@ tracker.update("frame")  # type: ignore[arg-type]  # wrong
 state: str = first.state  # type: ignore[assignment]  # wrong: it may be None
 pool = TargetPool(options=options)
 number, track = pool.add(frame, (100, 80, 40, 30))
-score: float | None = pool.update(frame)[number].score
+value: float | None = pool.update(frame)[number].score
 pool.add(frame, (100, 80, 40, 30)).box  # type: ignore[attr-defined]  # wrong
 other = open_tracker("dcf:kcf", options)
 other.init(frame, (100, 80, 40, 30))
