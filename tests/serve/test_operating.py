@@ -260,10 +260,10 @@ def test_a_sound_is_heard_when_a_target_is_lost_if_it_was_asked_for(
     page: Any, follower: Follower, stream: Stream
 ) -> None:
     page.evaluate(
-        "window.AudioContext = class { currentTime = 0; destination = {};"
+        "() => { window.AudioContext = class { currentTime = 0; destination = {};"
         " createGain() { return { gain: {}, connect: (to) => to }; }"
         " createOscillator() { window.tones = (window.tones ?? 0) + 1;"
-        " return { frequency: { setValueAtTime() {} }, connect: (to) => to, start() {}, stop() {} }; } }"
+        " return { frequency: { setValueAtTime() {} }, connect: (to) => to, start() {}, stop() {} }; } }; }"
     )
     follower.add(BLOB)
     page.wait_for_selector("#targets .state.tracking")
