@@ -39,7 +39,7 @@ def compact(graph: onnx.ModelProto) -> onnx.ModelProto:
         # a filter of zeros must not divide by zero
         step = np.maximum(np.abs(weight).max(axis=(1, 2, 3), keepdims=True), np.float32(1e-30)) / _LARGEST
         sizes = np.sqrt(((weight / step) ** 2).mean(axis=(0, 2, 3)))
-        if len(tensor.raw_data) >= _SMALLEST * total and sizes.max() < _UNEVEN * np.median(sizes):
+        if len(tensor.raw_data) >= _SMALLEST * total and sizes.max() < _UNEVEN * np.median(sizes[sizes > 0]):
             scale = stored[f"{tensor.name.removesuffix('.weight')}.scale"]
             tensor.CopyFrom(numpy_helper.from_array(rounded(weight / step).astype(np.int8), tensor.name))
             scale.CopyFrom(numpy_helper.from_array(numpy_helper.to_array(scale) * step, scale.name))
