@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import os
+import re
 
 # Before torch is imported: the networks here are so small that threads cost more than they give.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
@@ -36,6 +37,15 @@ settings.load_profile("psiamfcpp")
 
 # Node ids, or their beginnings, of tests that may be skipped; the rest of a line after "#" says why.
 ALLOWED_SKIPS = Path(__file__).with_name("allowed_skips.txt")
+# Modules that the extras of pyproject.toml install. The core lane of .ci/run has none of them.
+EXTRAS = {
+    **dict.fromkeys(("torch", "safetensors", "matplotlib", "onnx", "torch_pruning"), "train"),
+    **dict.fromkeys(("fastapi", "starlette", "uvicorn", "websockets"), "serve"),
+    **dict.fromkeys(("pymavlink", "serial"), "mavlink"),
+    **dict.fromkeys(("numba", "scipy"), "dcf"),
+    **dict.fromkeys(("dask", "httpx", "PIL", "psiamfcpp_weights"), "dev"),
+    **{"av": "video", "jinja2": "report", "openvino": "openvino"},
+}
 STRICT_SKIPS = os.environ.get("PSIAMFCPP_STRICT_SKIPS") == "1"
 skipped: dict[str, str] = {}
 
@@ -47,6 +57,32 @@ def _note_skip(report: pytest.TestReport | pytest.CollectReport) -> None:
 
 
 pytest_runtest_logreport = pytest_collectreport = _note_skip
+
+
+def _missing_extra(text: str) -> str | None:
+    """Why what failed with this text is skipped: a module that an extra installs is not there."""
+    found = re.search(r"No module named '(\w+).*?'", text)
+    extra = found and EXTRAS.get(found[1])
+    return f"without the extra {extra}: {found[0]}" if found and extra else None
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_make_collect_report(collector: pytest.Collector) -> Iterator[None]:
+    """Skip files that import what an extra installs, where it is not installed."""
+    report = yield
+    if report.failed and (why := _missing_extra(str(report.longrepr))):
+        report.outcome, report.longrepr = "skipped", (str(collector.path), 0, why)
+    return report
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport(item: pytest.Item, call: pytest.CallInfo[None]) -> Iterator[None]:
+    """Skip tests that import what an extra installs, where it is not installed."""
+    report = yield
+    missing = call.excinfo is not None and isinstance(call.excinfo.value, ModuleNotFoundError)
+    if missing and (why := _missing_extra(str(call.excinfo.value))):
+        report.outcome, report.longrepr = "skipped", (str(item.path), 0, why)
+    return report
 
 
 def _skipped_without_leave() -> dict[str, str]:

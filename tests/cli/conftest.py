@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import importlib.util
 import math
 import shutil
+import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -60,8 +62,11 @@ def run(capfd: pytest.CaptureFixture[str]) -> Run:
 
     def call(*args: object) -> Ended:
         capfd.readouterr()
-        code = main([str(arg) for arg in args])
-        return Ended(code, *capfd.readouterr())
+        ended = Ended(main([str(arg) for arg in args]), *capfd.readouterr())
+        missing = re.search(r"^psiamfcpp: this needs (\w+): pip install 'psiamfcpp\[", ended.err)
+        if missing and importlib.util.find_spec(missing[1]) is None:
+            pytest.skip(f"{missing[1]} is not installed")
+        return ended
 
     return call
 

@@ -80,6 +80,25 @@ def test_a_name_that_is_too_long_is_one_line(run: Run, command: tuple[str, ...])
     assert run(*command, "a" * 500).refused()
 
 
+@pytest.mark.parametrize(
+    ("tracker", "facts"),
+    [
+        ("opencv:mil", {"kind": "opencv", "name": "opencv-mil"}),
+        ("TrackerMIL", {"kind": "opencv", "name": "TrackerMIL"}),
+        ("trax:tracker --fast", {"kind": "trax", "name": "trax-tracker"}),
+    ],
+)
+def test_info_takes_every_tracker_that_track_takes(run: Run, tracker: str, facts: dict[str, str]) -> None:
+    assert facts.items() <= json.loads(run("info", tracker, "--json").out).items()
+    text = run("info", tracker).out
+    assert all(f"{key:12} {value}\n" in text for key, value in facts.items())
+
+
+def test_options_of_a_model_do_not_change_its_description(run: Run, tiny_model: Path) -> None:
+    assert run("info", f"{tiny_model},plain=true").out == run("info", tiny_model).out
+    assert "'plan'" in run("info", f"{tiny_model},plan=true").refused()
+
+
 # import
 
 

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch import nn
+from torch.nn import functional
 
 from psiamfcpp.errors import UserError
 from psiamfcpp.models import SiamFCpp
@@ -86,10 +89,22 @@ def test_ranks_are_means_over_images_of_all_batches() -> None:
     assert (group.max, group.dead, group.flat) == (9, 1, False)
 
 
+class Called(nn.Module):
+    """A function in place of a module, as many networks call ReLU in their forward."""
+
+    def __init__(self, function: Callable[[torch.Tensor], torch.Tensor]) -> None:
+        super().__init__()
+        self.forward = function
+
+
 @pytest.mark.parametrize(
     "after",
     [
         (nn.ReLU(),),
+        (Called(functional.relu),),
+        (Called(torch.relu_),),
+        (Called(lambda x: x.clamp(min=0)),),
+        (nn.BatchNorm2d(3), Called(torch.Tensor.relu), Called(lambda x: x + 1)),
         (nn.ReLU(inplace=True),),
         (nn.BatchNorm2d(3), nn.ReLU()),
         (nn.ReLU(), nn.MaxPool2d(3, 3)),

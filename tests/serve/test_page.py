@@ -118,7 +118,7 @@ def test_a_second_page_watches(visit: Callable[..., Any], address: str, follower
     assert second.is_disabled("#stop")
     drag(second)
     first.click("#operator")
-    second.wait_for_selector("#operator:not([disabled])")
+    second.wait_for_selector("#operator:has-text('Take control')")
     assert follower.newest is not None
     assert list(follower.newest.tracks) == [1]
 

@@ -63,23 +63,18 @@ def plan(
         search_size: side of the search crop to count and to time at; that of the model by default.
         output: plan to write, .json.
     """
-    from psiamfcpp.pruning.table import RankTable
     from psiamfcpp.recipes import plan as recipe
-    from psiamfcpp.recipes.scoring import score_model
 
     check_outputs([output], [source, ranks])
     check_new([output], overwrite)
-    if not source.endswith(".json"):
-        table = score_model(source, criterion, ranks=ranks, data=data, images=images, held_out_every=held_out_every)
-    elif criterion != "rank" or ranks or data:
-        raise UserError(
-            f"{source} is a rank table, which needs no --criterion, --ranks or --data: give the model instead"
-        )
-    else:
-        table = RankTable.read(Path(source))
     with watching() as watch:
         done = recipe.plan(
-            table,
+            source,
+            criterion=criterion,
+            ranks=ranks,
+            data=data,
+            images=images,
+            held_out_every=held_out_every,
             preset=preset,
             keep=_parse("keep", "SHARE", keep),
             remove=remove,

@@ -181,6 +181,8 @@ class Architecture:
     edge: float = 1.0
     """pixels that the sides of crop and square count less: 1 where the middles of their corner pixels coincide, 0 where
     their edges do"""
+    scalars: int = 0
+    """trainable values that belong to no layer"""
     presets: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     """by name: share KEPT of each group"""
     rates: tuple[tuple[str, float], ...] = ()
@@ -293,6 +295,17 @@ class Architecture:
             read = [self.width(name, widths) for name in layer.reads]
             macs += OPERATIONS[layer.operation].macs(layer, sides, read, side, self.width(layer.name, widths))
         return macs
+
+    def parameters(self, widths: Mapping[str, int]) -> int:
+        """Number of trainable values: weights, a bias per filter, and scale and shift of each BatchNorm."""
+        count = self.scalars
+        for layer in self.layers:
+            if _weighted(layer):
+                width, read = self.width(layer.name, widths), [self.width(name, widths) for name in layer.reads]
+                # the weights are what one cell of the map multiplies by
+                weights = OPERATIONS[layer.operation].macs(layer, [], read, 1, width)
+                count += weights + width * (3 if layer.bn else 1)
+        return count
 
     def feature_size(self, side: int) -> int:
         """Side of the backbone's map for a crop of ``side`` pixels."""

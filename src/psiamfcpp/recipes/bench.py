@@ -60,7 +60,7 @@ def bench(
     threads: int | None = None,
     rounds: int = 5,
     frames: int = 30,
-    sequence: Path | None = None,
+    sequence: str | Path | None = None,
     trackers: Sequence[str] = ("opencv:mil",),
     watch: Watch = QUIET,
 ) -> BenchResult:
@@ -167,11 +167,11 @@ def _wanted(models: Sequence[str], engines: Sequence[str], devices: Sequence[str
     yield from (triple for triple in wanted if triple != BASELINE)
 
 
-def _shots(sequence: Path | None, frames: int) -> tuple[list[Image], Box]:
+def _shots(sequence: str | Path | None, frames: int) -> tuple[list[Image], Box]:
     if sequence is None:
         clip = list(render(0, frames + 1))
         return [shot.image for shot in clip], clip[0].box
-    found = folder.read(sequence)[0]
+    found = folder.read(Path(sequence))[0]
     if len(found) <= frames:
         raise UserError(f"{sequence} holds {len(found)} frames: --frames {frames} needs one more than that")
     x, y, w, h = (float(v) for v in found.boxes[0])
