@@ -1,4 +1,4 @@
-"""A network of your own in psiamfcpp: three layers of torchvision's AlexNet before SiamFC++'s neck and head.
+"""A network of your own in psiamfcpp: two layers of torchvision's AlexNet before SiamFC++'s neck and head.
 
     python own_network.py start alexnet-owt-7be5be79.pth start.safetensors
     python own_network.py COMMAND ...
@@ -19,22 +19,21 @@ from psiamfcpp.models.arch import PIXELS, Layer
 from psiamfcpp.models.siamfcpp_alexnet import ARCHITECTURE as SIAMFCPP
 from psiamfcpp.spec import ModelSpec
 
-NAME, MODULE = "alexnet-3", "own_network"
+NAME, MODULE = "alexnet-2", "own_network"
 # Filters of neck and head; SiamFC++ has 256.
 WIDTH = 64
-CONV1, CONV2, CONV3 = (f"backbone.conv{i}" for i in (1, 2, 3))
+CONV1, CONV2 = "backbone.conv1", "backbone.conv2"
 BACKBONE = (
     Layer(CONV1, (PIXELS,), 64, 11, stride=2, bn=False, pool=(3, 2), group=CONV1, thaw=1.0),
-    Layer(CONV2, (CONV1,), 192, 5, bn=False, pool=(3, 2), group=CONV2, thaw=1.0),
-    Layer(CONV3, (CONV2,), 384, 3, bn=False, relu=False, group=CONV3),
+    Layer(CONV2, (CONV1,), 192, 5, bn=False, pool=(3, 2), relu=False, group=CONV2, thaw=1.0),
 )
 # What torchvision calls these layers.
-THEIRS = {CONV1: "features.0", CONV2: "features.3", CONV3: "features.6"}
+THEIRS = {CONV1: "features.0", CONV2: "features.3"}
 
 
 def behind_mine(row: Layer) -> Layer:
     """Return a row of SiamFC++'s neck or head as it stands behind another backbone."""
-    reads = (CONV3,) if row.part == "neck" else row.reads
+    reads = (CONV2,) if row.part == "neck" else row.reads
     return dataclasses.replace(row, reads=reads, width=WIDTH if row.group else row.width)
 
 

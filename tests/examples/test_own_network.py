@@ -20,7 +20,7 @@ torch = pytest.importorskip("torch")
 from torch import nn  # noqa: E402 - torch comes first
 
 ROOT = Path(__file__).parents[2]
-NAME = "alexnet-3"
+NAME = "alexnet-2"
 SCRIPT, PAGE = ROOT / "examples" / "own_network.py", ROOT / "docs" / "own-network.md"
 # What the page asks for in hundreds is tried with a few.
 FEW = {"--steps": "2", "--batch": "2", "--images": "2", "--pairs": "4", "--validation-pairs": "2", "--frames": "3"}
@@ -41,9 +41,7 @@ def theirs() -> nn.Sequential:
     """Layers of torchvision's shapes and names, with random weights; what lies between is as in the table."""
     torch.manual_seed(0)
     pool = nn.MaxPool2d(3, 2)
-    return nn.Sequential(
-        nn.Conv2d(3, 64, 11, 2), nn.ReLU(), pool, nn.Conv2d(64, 192, 5), nn.ReLU(), pool, nn.Conv2d(192, 384, 3)
-    ).eval()
+    return nn.Sequential(nn.Conv2d(3, 64, 11, 2), nn.ReLU(), pool, nn.Conv2d(64, 192, 5), pool).eval()
 
 
 def saved(theirs: nn.Sequential, path: Path) -> Path:
@@ -77,7 +75,7 @@ def test_the_package_alone_says_where_the_architecture_is_missing(
 
     mine.start(saved(theirs, tmp_path / "theirs.pth"), tmp_path / "start.safetensors")
     monkeypatch.delitem(ARCHITECTURES, NAME)
-    with pytest.raises(UserError, match=r"unknown architecture 'alexnet-3': known are .*; import the module"):
+    with pytest.raises(UserError, match=r"unknown architecture 'alexnet-2': known are .*; import the module"):
         load(tmp_path / "start.safetensors")
 
 
@@ -113,7 +111,7 @@ def test_the_file_is_a_command(theirs: nn.Sequential, tmp_path: Path) -> None:
             [sys.executable, str(SCRIPT), *args], cwd=tmp_path, capture_output=True, text=True, check=False
         )
         assert (done.returncode, done.stderr) == (0, "")
-    assert "architecture alexnet-3" in done.stdout
+    assert "architecture alexnet-2" in done.stdout
 
 
 def test_the_page_counts_its_lines() -> None:
