@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import importlib.util
 import math
-import shutil
 import re
+import shutil
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path

@@ -42,8 +42,8 @@ def plan(
 
     Args:
         source: table that `psiamfcpp rank` wrote, .json; or the model, to score its filters by another criterion.
-        criterion: rank, norm, median, taylor, random, refit, or MODULE:FUNCTION, a function
-            f(group, context) -> scores (n,).
+        criterion: rank (the paper's), norm, median, taylor, random, refit (which changes least before fine-tuning), or
+            MODULE:FUNCTION, a function f(group, context) -> scores (n,).
         ranks: with a model: its rank table, for the criterion rank.
         data: with a model: sets to run the training loss on, for the criterion taylor, or to draw crops from, for
             refit; each LAYOUT:FOLDER.

@@ -1,7 +1,7 @@
 """Architectures as tables of layers, from which every size, cost, group and graph is derived; torch is not needed.
 
-An architecture is one module with a table, named in `ARCHITECTURES`. The table says which files build its network and
-its graphs; no other file names a layer.
+An architecture is one module with a table, named in `ARCHITECTURES`; a module of yours may add itself there
+(docs/own-network.md). The table says which files build its network and its graphs; no other file names a layer.
 """
 
 from __future__ import annotations
@@ -391,7 +391,8 @@ def architecture(name: str) -> Architecture:
         UserError: there is none of that name; the known ones are listed.
     """
     if name not in ARCHITECTURES:
-        raise UserError(f"unknown architecture {name!r}: known are {', '.join(ARCHITECTURES)}")
+        known = ", ".join(ARCHITECTURES)
+        raise UserError(f"unknown architecture {name!r}: known are {known}; import the module that adds it first")
     found: Architecture = importlib.import_module(ARCHITECTURES[name]).ARCHITECTURE
     return found
 
