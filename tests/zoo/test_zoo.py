@@ -65,7 +65,13 @@ def test_every_shipped_model_loads_is_small_and_has_a_card() -> None:
 
 def test_the_package_holds_the_pruned_graphs_and_the_weights_the_rest() -> None:
     own = {path.name for path in FOLDER.iterdir() if path.is_dir() and path.name != "__pycache__"}
-    assert own == {"plightfc-int8", "psiamfcpp-alexnet-int8", "psiamfcpp-alexnet-n-int8", "psiamfcpp-alexnet-s-int8"}
+    assert own == {
+        "plightfc-int8",
+        "plightfc-s-int8",
+        "psiamfcpp-alexnet-int8",
+        "psiamfcpp-alexnet-n-int8",
+        "psiamfcpp-alexnet-s-int8",
+    }
     assert set(zoo._ELSEWHERE) == {*zoo.names(), *zoo.graph_names()} - own
 
 
