@@ -33,7 +33,7 @@ if [ ! -d "$folder/env" ]; then
         --constraint "$source/constraints.txt" joblib numpy onnxruntime opencv-python-headless rich tyro
 fi
 [ -f "$folder/here.npz" ] || PYTHONPATH="$source/src" python3 "$source/benchmarks/processors.py" record \
-    "$folder/here.npz" --wide --models "$@"
+    "$folder/here.npz" --models "$@"
 
 status=0
 for processor in cortex-a72 cortex-a76 max; do

@@ -1,15 +1,12 @@
 """Compare what 8-bit models find on one processor with what they find on another.
 
     python benchmarks/processors.py record here.npz [--models MODEL ...]
-    python benchmarks/processors.py compare here.npz [--frames 60] [--wide]
+    python benchmarks/processors.py compare here.npz [--frames 60]
 
 `record` follows the target of the first frames of the demo. It keeps the frames, boxes and states, and the graphs'
 answers on some crops. `compare` does the same on the frames and crops of the file, and prints how far both are apart.
 It fails where the mean overlap of the boxes is below 0.98 or a state differs. Copy the file to another computer to
 compare two processors.
-
-x86 without VNNI adds two products of 8 bits in 16 bits, where they may saturate. `--wide` has onnxruntime add them in
-32 bits there, as VNNI and ARM do; elsewhere it changes nothing.
 """
 
 from __future__ import annotations
@@ -44,18 +41,15 @@ _EVERY = 8
 Arrays = dict[str, NDArray[Any]]
 
 
-def record(
-    output: tyro.conf.Positional[Path], models: tuple[str, ...] = (), frames: int = 60, wide: bool = False
-) -> None:
+def record(output: tyro.conf.Positional[Path], models: tuple[str, ...] = (), frames: int = 60) -> None:
     """Follow the demo's target and write what was found.
 
     Args:
         output: the file to write.
         models: shipped models or folders of graphs; by default all shipped ones in 8 bits.
         frames: length of the clip, from the demo's first frame.
-        wide: add products in 32 bits on x86 without VNNI too.
     """
-    _begin(wide)
+    _begin()
     shots = [shot for _, shot in zip(range(frames), render(), strict=False)]
     images, truth = np.stack([shot.image for shot in shots]), np.array([shot.box for shot in shots])
     kept: Arrays = {"frames": images, "truth": truth}
@@ -70,38 +64,25 @@ def record(
     np.savez(output, **kept)
 
 
-def compare(
-    expected: tyro.conf.Positional[Path], models: tuple[str, ...] = (), frames: int = 60, wide: bool = False
-) -> None:
+def compare(expected: tyro.conf.Positional[Path], models: tuple[str, ...] = (), frames: int = 60) -> None:
     """Follow the frames of a file, and print how far what is found is from what the file holds.
 
     Args:
         expected: file that `record` wrote.
         models: models of the file; by default all.
         frames: number of frames to follow, from the first.
-        wide: add products in 32 bits on x86 without VNNI too.
     """
     file = np.load(expected)
-    _begin(wide)
+    _begin()
     missed = [model for model in models or _models(file) if not _agrees(file, model, frames)]
     if missed:
         raise UserError(f"overlap below {_LEAST_OVERLAP} or other states: {', '.join(missed)}")
 
 
-class _Wide(onnxruntime.SessionOptions):  # type: ignore[misc]
-    """Options of a session without sums in 16 bits."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.add_session_config_entry("session.x64quantprecision", "1")
-
-
-def _begin(wide: bool) -> None:
-    """Name the processor, and set how products are added."""
-    facts, sums = machine(), ", sums in 32 bits" if wide else ""
-    print(f"{facts['cpu']}, {' '.join(facts['flags'])}, onnxruntime {onnxruntime.__version__}{sums}", flush=True)
-    if wide:
-        onnxruntime.SessionOptions = _Wide
+def _begin() -> None:
+    """Name the processor."""
+    facts = machine()
+    print(f"{facts['cpu']}, {' '.join(facts['flags'])}, onnxruntime {onnxruntime.__version__}", flush=True)
 
 
 def _models(file: NpzFile) -> list[str]:

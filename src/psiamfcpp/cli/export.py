@@ -22,7 +22,6 @@ def export(
     root: Path | None = None,
     pairs: int = 128,
     layer_loss: float = 0.02,
-    reduce_range: bool = False,
     skip_bad: SkipBad = False,
     overwrite: Overwrite = False,
     json: Json = False,
@@ -38,7 +37,6 @@ def export(
         root: folder of sequences to follow with the network in torch and with the graphs, plainly, and compare.
         pairs: targets to calibrate on; a quarter as many others serve the check.
         layer_loss: with int8, layers stay in float whose 8 bits alone cost more than this of the boxes' overlap.
-        reduce_range: with int8, coarser weights, so that x86 without VNNI computes what other processors do.
     """
     from psiamfcpp.recipes import export as recipe
 
@@ -55,7 +53,6 @@ def export(
             root=root,
             pairs=pairs,
             layer_loss=layer_loss,
-            reduce_range=reduce_range,
             watch=watch,
         )
     if json:

@@ -35,8 +35,6 @@ class Ranges:
     """what the output channels of layers are divided by, before the ranges above were taken"""
     rows: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     """lowest and highest value of each row's map, in graphs that follow the table row by row"""
-    reduced: bool = False
-    """weights are small enough for sums of two products in 16 bits, see `_largest_sum`"""
 
 
 @dataclass
@@ -91,10 +89,7 @@ class Builder:
         if x not in self.steps:
             x = self.rounded(x, self.ranges.inputs[name])
         folded = layer.weight * layer.gain[:, None, None, None]
-        peaks = np.abs(folded).max(axis=(1, 2, 3))
-        if self.ranges.reduced:
-            peaks = np.maximum(peaks, _largest_sum(folded))
-        steps = np.maximum(peaks / 127, 1e-12)
+        steps = np.maximum(np.abs(folded).max(axis=(1, 2, 3)) / 127, 1e-12)
         # The bias is in 32 bits of the weights' step times the input's: a dead filter's tiny step would cut it off.
         steps = np.maximum(steps, np.abs(layer.bias) / 2**30 / self.steps[x]).astype(np.float32)
         rounded = np.rint(folded / steps[:, None, None, None]).astype(np.int8)
@@ -156,24 +151,6 @@ class Builder:
         )
         helper.set_model_props(model, {"format": GRAPH_FORMAT, "spec": spec.to_json()})
         return model
-
-
-def _largest_sum(weight: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return the largest sum of two weights that are multiplied together, by filter: ``(outputs,)``.
-
-    x86 without VNNI adds the products of two neighbouring channels in 16 bits. Where two weights sum to more than 128
-    steps, 255 times them saturates, and boxes differ from those of other processors. Depthwise layers are computed in
-    wider sums.
-
-    Args:
-        weight: ``(outputs, inputs, k, k)``.
-    """
-    if weight.shape[1] == 1:
-        return np.zeros(len(weight), np.float32)
-    in_order = weight.transpose(0, 2, 3, 1).reshape(len(weight), -1)
-    in_order = np.pad(in_order, [(0, 0), (0, in_order.shape[1] % 2)])
-    largest: NDArray[np.float32] = np.abs(in_order[:, ::2] + in_order[:, 1::2]).max(axis=1)
-    return largest
 
 
 def two_by_two(graph: Builder, x: str) -> str:

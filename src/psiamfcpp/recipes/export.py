@@ -55,7 +55,6 @@ def export(
     root: str | Path | None = None,
     pairs: int = 128,
     layer_loss: float = 0.02,
-    reduce_range: bool = False,
     watch: Watch = QUIET,
 ) -> Exported:
     """Write the graphs `template` and `search` of a model.
@@ -71,7 +70,6 @@ def export(
         root: folder of sequences to follow with the network in torch and with the graphs, plainly, and compare.
         pairs: targets to calibrate on; a quarter as many others serve the check.
         layer_loss: with ``int8``, layers stay in float whose 8 bits alone cost more than this of the boxes' overlap.
-        reduce_range: with ``int8``, coarser weights, so that x86 without VNNI computes what other processors do.
         watch: receives a note on each layer.
 
     Raises:
@@ -94,7 +92,7 @@ def export(
     ranges, by_layer, kept_float = Ranges(), dict[str, Difference](), list[str]()
     if int8:
         weights = layers(network)
-        ranges = dataclasses.replace(measure(spec, weights, crops[:used]), reduced=reduce_range)
+        ranges = measure(spec, weights, crops[:used])
         each = losses(spec, weights, ranges, crops[:checks])
         by_layer = dict(watch.track(each, "layers", len(ranges.inputs)))
         kept_float = [name for name, difference in by_layer.items() if 1 - difference.overlap > layer_loss]
