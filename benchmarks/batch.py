@@ -20,7 +20,6 @@ from onnx import helper, numpy_helper
 from psiamfcpp.runtime import open_engine
 from psiamfcpp.runtime.graph_file import graph_files
 from psiamfcpp.runtime.onnx_engine import open_session
-from psiamfcpp.spec import score_size
 from psiamfcpp.zoo import DEFAULT_MODEL, graph_folder
 
 
@@ -39,7 +38,7 @@ def main(model: str = DEFAULT_MODEL, threads: int = 1, targets: int = 4, rounds:
     kernels = [
         engine.template(np.ascontiguousarray(crop[: spec.template_size, : spec.template_size])) for crop in crops
     ]
-    session = open_session(batched(model, targets, spec.search_size), threads, spec.search_size)
+    session = open_session(batched(model, targets, spec.arch.score_size(spec.search_size)), threads, spec.search_size)
     feed = {
         "crop": crops,
         **{f"{b}_kernel": np.concatenate([k[i] for k in kernels]) for i, b in enumerate(("cls", "reg"))},
@@ -60,8 +59,11 @@ def main(model: str = DEFAULT_MODEL, threads: int = 1, targets: int = 4, rounds:
         print(f"{name:20} {np.median(values):7.1f} ms, at best {min(values):.1f}")
 
 
-def batched(model: str, count: int, size: int) -> bytes:
-    """The search graph for a batch of that many crops, features of all side by side in one grouped convolution."""
+def batched(model: str, count: int, cells: int) -> bytes:
+    """The search graph for a batch of that many crops, with a score map of that side.
+
+    The features of all stand side by side in one grouped convolution.
+    """
     folder = graph_folder(model)
     assert folder is not None
     _, path = graph_files(folder, (".onnx",))
@@ -72,7 +74,7 @@ def batched(model: str, count: int, size: int) -> bytes:
     place, conv = next((i, node) for i, node in enumerate(nodes) if node.name == "correlation")
     (group,) = (a for a in conv.attribute if a.name == "group")
     # sides of the maps before and after the correlation: three more cells, then three layers of three
-    before, after = (score_size(size) + side for side in (9, 6))
+    before, after = cells + 9, cells + 6
     shapes = {"together": [1, count * group.i, before, before], "apart": [count, group.i, after, after]}
     for name, shape in shapes.items():
         graph.graph.initializer.append(numpy_helper.from_array(np.array(shape), name))

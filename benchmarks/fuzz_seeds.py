@@ -23,7 +23,8 @@ from psiamfcpp.datasets.got10k import read_labels
 from psiamfcpp.evaluation.results import read_result, read_times
 from psiamfcpp.evaluation.running import read_run
 from psiamfcpp.images import read_image
-from psiamfcpp.spec import FULL_WIDTHS, ModelSpec
+from psiamfcpp.models.siamfcpp_alexnet import ARCHITECTURE
+from psiamfcpp.spec import ModelSpec
 
 
 @dataclass(frozen=True)
@@ -187,7 +188,7 @@ def _ranks(folder: Path) -> Seed:
         "format": "psiamfcpp-ranks/1",
         "images": 4,
         "search_size": 239,
-        "groups": dict.fromkeys(FULL_WIDTHS, group),
+        "groups": dict.fromkeys(ARCHITECTURE.groups, group),
     }
     return Seed(folder / "a.json", [json.dumps(table).encode()], read)
 
@@ -196,7 +197,7 @@ def _plan(folder: Path) -> Seed:
     from psiamfcpp.pruning.planning import Plan
 
     text = json.dumps({"format": "psiamfcpp-plan/1", "keep": {"backbone.conv1": [0, 2, 5], "neck.cls": [1]}})
-    return Seed(folder / "a.json", [text.encode()], lambda path: Plan.read(path).check(FULL_WIDTHS))
+    return Seed(folder / "a.json", [text.encode()], lambda path: Plan.read(path).check(ARCHITECTURE.groups))
 
 
 def _looks(folder: Path) -> Seed:
@@ -214,7 +215,7 @@ def _network() -> Any:
     from psiamfcpp.models import SiamFCpp
 
     torch.manual_seed(0)
-    network = SiamFCpp(ModelSpec(widths=dict.fromkeys(FULL_WIDTHS, 2), search_size=239)).eval()
+    network = SiamFCpp(ModelSpec(widths=dict.fromkeys(ARCHITECTURE.groups, 2), search_size=239)).eval()
     with torch.no_grad():
         network.backbone.conv1.conv.weight /= 100
     return network

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import os
+import re
 
 # Before torch is imported: the networks here are so small that threads cost more than they give.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
@@ -21,17 +23,29 @@ from hypothesis import HealthCheck, settings
 from numpy.typing import NDArray
 
 from psiamfcpp.demo.clip import DemoFrame, render
-from psiamfcpp.spec import FULL_WIDTHS, STRIDE, ModelSpec, first_cell, score_size
+from psiamfcpp.models.siamfcpp_alexnet import ARCHITECTURE
+from psiamfcpp.spec import ModelSpec
 
 Image = NDArray[np.uint8]
 BACKGROUND = 40
 
 # A verdict must not depend on how fast the machine is, nor on which examples chance draws in one run.
-settings.register_profile("psiamfcpp", deadline=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow])
+settings.register_profile(
+    "psiamfcpp", deadline=None, derandomize=True, max_examples=50, suppress_health_check=[HealthCheck.too_slow]
+)
 settings.load_profile("psiamfcpp")
 
 # Node ids, or their beginnings, of tests that may be skipped; the rest of a line after "#" says why.
 ALLOWED_SKIPS = Path(__file__).with_name("allowed_skips.txt")
+# Modules that the extras of pyproject.toml install. The core lane of .ci/run has none of them.
+EXTRAS = {
+    **dict.fromkeys(("torch", "safetensors", "matplotlib", "onnx", "torch_pruning"), "train"),
+    **dict.fromkeys(("fastapi", "starlette", "uvicorn", "websockets"), "serve"),
+    **dict.fromkeys(("pymavlink", "serial"), "mavlink"),
+    **dict.fromkeys(("numba", "scipy"), "dcf"),
+    **dict.fromkeys(("dask", "httpx", "PIL", "psiamfcpp_weights"), "dev"),
+    **{"av": "video", "jinja2": "report", "openvino": "openvino"},
+}
 STRICT_SKIPS = os.environ.get("PSIAMFCPP_STRICT_SKIPS") == "1"
 skipped: dict[str, str] = {}
 
@@ -43,6 +57,32 @@ def _note_skip(report: pytest.TestReport | pytest.CollectReport) -> None:
 
 
 pytest_runtest_logreport = pytest_collectreport = _note_skip
+
+
+def _missing_extra(text: str) -> str | None:
+    """Why what failed with this text is skipped: a module that an extra installs is not there."""
+    found = re.search(r"No module named '(\w+).*?'", text)
+    extra = found and EXTRAS.get(found[1])
+    return f"without the extra {extra}: {found[0]}" if found and extra else None
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_make_collect_report(collector: pytest.Collector) -> Iterator[None]:
+    """Skip files that import what an extra installs, where it is not installed."""
+    report = yield
+    if report.failed and (why := _missing_extra(str(report.longrepr))):
+        report.outcome, report.longrepr = "skipped", (str(collector.path), 0, why)
+    return report
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport(item: pytest.Item, call: pytest.CallInfo[None]) -> Iterator[None]:
+    """Skip tests that import what an extra installs, where it is not installed."""
+    report = yield
+    missing = call.excinfo is not None and isinstance(call.excinfo.value, ModuleNotFoundError)
+    if missing and (why := _missing_extra(str(call.excinfo.value))):
+        report.outcome, report.longrepr = "skipped", (str(item.path), 0, why)
+    return report
 
 
 def _skipped_without_leave() -> dict[str, str]:
@@ -81,7 +121,7 @@ def tiny_model(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("model") / "tiny.safetensors"
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(0)
-        model = SiamFCpp(ModelSpec(widths=dict.fromkeys(FULL_WIDTHS, 8)))
+        model = SiamFCpp(ModelSpec(widths=dict.fromkeys(ARCHITECTURE.groups, 8)))
     save(path, model.eval())
     return path
 
@@ -96,7 +136,7 @@ def make_network() -> Callable[..., Any]:
 
     from psiamfcpp.models import SiamFCpp
 
-    uneven = {name: 3 + number % 4 for number, name in enumerate(FULL_WIDTHS)}
+    uneven = {name: 3 + number % 4 for number, name in enumerate(ARCHITECTURE.groups)}
 
     def make(seed: int = 0, widths: dict[str, int] | None = None, search_size: int = 303) -> SiamFCpp:
         network = SiamFCpp(ModelSpec(widths=widths or uneven, search_size=search_size))
@@ -189,17 +229,17 @@ class BlobEngine:
     def _see(self, crop: Image) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         self.searches.append(crop.copy())
         size = crop.shape[0]
-        cells, first = score_size(size), first_cell(size)
-        line = first + STRIDE * np.arange(cells, dtype=np.float32)
+        cells, first = ARCHITECTURE.score_size(size), ARCHITECTURE.first_cell(size)
+        line = first + ARCHITECTURE.stride * np.arange(cells, dtype=np.float32)
         x, y = np.meshgrid(line, line)
         scores = np.full((cells, cells), self.absent, np.float32)
         boxes = np.stack([x - 31, y - 31, x + 31, y + 31], axis=-1)
         seen = _measure(crop)
         if seen is not None:
             cx, cy, w, h = seen
-            last = first + STRIDE * (cells - 1)
-            if first - STRIDE / 2 <= min(cx, cy) and max(cx, cy) <= last + STRIDE / 2:
-                distance = np.hypot(x - cx, y - cy) / STRIDE
+            last = first + ARCHITECTURE.stride * (cells - 1)
+            if first - ARCHITECTURE.stride / 2 <= min(cx, cy) and max(cx, cy) <= last + ARCHITECTURE.stride / 2:
+                distance = np.hypot(x - cx, y - cy) / ARCHITECTURE.stride
                 shape = np.exp(-(distance**2) / 4)
                 scores = np.maximum(self.absent, self.peak * shape / shape.max()).astype(np.float32)
                 boxes = np.zeros((cells, cells, 4), np.float32)
@@ -238,16 +278,21 @@ def blob_engine(monkeypatch: pytest.MonkeyPatch) -> BlobEngine:
 def blob_frame() -> Callable[..., Image]:
     """Draws ``(x, y, w, h)``, whole pixels or not, as a bright rectangle on a dim ground; None draws the ground."""
 
-    def draw(box: tuple[float, float, float, float] | None, width: int = 320, height: int = 240) -> Image:
+    @functools.cache
+    def ground(width: int, height: int) -> Image:
         # squares of two shades: a frame of one shade would be a lost video signal
         squares = (np.arange(height)[:, None] // 20 + np.arange(width) // 20) % 2
-        frame = np.repeat(BACKGROUND - 6.0 + 12 * squares[..., None], 3, axis=2)
+        return np.repeat(BACKGROUND - 6 + 12 * squares[..., None], 3, axis=2).astype(np.uint8)
+
+    def draw(box: tuple[float, float, float, float] | None, width: int = 320, height: int = 240) -> Image:
+        frame = ground(width, height).copy()
         if box is not None:
             x, y, w, h = box
             columns = np.clip(np.minimum(np.arange(width) + 1, x + w) - np.maximum(np.arange(width), x), 0, 1)
             rows = np.clip(np.minimum(np.arange(height) + 1, y + h) - np.maximum(np.arange(height), y), 0, 1)
-            frame += (255 - frame) * np.outer(rows, columns)[..., None]
-        return frame.round().astype(np.uint8)
+            lit = np.ix_(np.flatnonzero(rows), np.flatnonzero(columns))
+            frame[lit] = (frame[lit] + (255.0 - frame[lit]) * np.outer(rows, columns)[lit][..., None]).round()
+        return frame
 
     return draw
 

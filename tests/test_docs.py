@@ -12,6 +12,7 @@ from PIL import Image
 
 from psiamfcpp.demo.clip import DemoFrame
 from psiamfcpp.errors import UserError
+from psiamfcpp.version import __version__
 from psiamfcpp.video.writer import VideoWriter
 
 ROOT = Path(__file__).parents[1]
@@ -69,6 +70,7 @@ def moving_image() -> ModuleType:
     return module
 
 
+@pytest.mark.slow
 def test_the_moving_image_shows_every_third_frame_at_the_pace_of_the_video(
     tmp_path: Path, rendered_clip: list[DemoFrame], capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -101,3 +103,12 @@ def test_images_of_the_pages_are_small() -> None:
     sizes = {path.name: path.stat().st_size for path in (ROOT / "docs/images").iterdir()}
     assert sizes
     assert max(sizes.values()) <= 3_000_000, sizes
+
+
+def test_the_version_is_the_same_everywhere() -> None:
+    stated = {
+        "CITATION.cff": re.findall(r"^version: (.*)$", (ROOT / "CITATION.cff").read_text(), re.MULTILINE),
+        "weights": re.findall(r'^version = "(.*)"$', (ROOT / "weights/pyproject.toml").read_text(), re.MULTILINE),
+        "CHANGELOG.md": re.findall(r"^## \[(\d.*?)\]", (ROOT / "CHANGELOG.md").read_text(), re.MULTILINE)[:1],
+    }
+    assert all(found == [__version__] for found in stated.values()), stated

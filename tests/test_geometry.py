@@ -21,7 +21,6 @@ from psiamfcpp.geometry import (
     from_corners,
     overlap,
     to_centre,
-    to_corners,
 )
 
 places = st.floats(-1e4, 1e4)
@@ -32,20 +31,19 @@ boxes = st.tuples(places, places, sides, sides)
 def test_width_counts_pixels() -> None:
     # columns 10..13 and rows 20..24: the middle column is 11.5, the middle row 22
     assert_allclose(centre((10, 20, 4, 5)), (11.5, 22))
-    assert_allclose(to_corners((10, 20, 4, 5)), (10, 20, 13, 24))
+    assert_allclose(from_corners((10, 20, 13, 24)), (10, 20, 4, 5))
 
 
 @given(boxes)
-def test_centre_and_corners_can_be_undone(box: Box) -> None:
+def test_a_centre_can_be_undone(box: Box) -> None:
     cx, cy = centre(box)
     assert_allclose(from_centre(cx, cy, *box[2:]), box, rtol=1e-9, atol=1e-7)
-    assert_allclose(from_corners(to_corners(box)), box, rtol=1e-9, atol=1e-7)
 
 
 def test_arrays_of_any_shape_go_through() -> None:
     many = np.arange(24.0).reshape(2, 3, 4) + 1
     assert centre(many).shape == (2, 3, 2)
-    assert_allclose(from_corners(to_corners(many)), many)
+    assert from_corners(many).shape == many.shape
     assert overlap(many, many[:, :1]).shape == centre_error(many[0, 0], many).shape == (2, 3)
 
 

@@ -23,7 +23,11 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from psiamfcpp import Span, TargetPool, Track, Tracker, TrackerOptions, UserError, __version__, follow, open_tracker
+from psiamfcpp import (
+    RunOptions, Span, TargetPool, Timing, Track, Tracker, TrackerOptions, TrackingConstants, TrainOptions, UserError,
+    __version__, bench, calibrate, evaluate, export_graphs, follow, import_model, info, list_trackers, open_tracker,
+    plan, prune, rank, reproduce, score, sensitivity, train, write_report,
+)
 
 version: str = __version__
 frame: NDArray[np.uint8] = np.zeros((240, 320, 3), np.uint8)
@@ -37,13 +41,28 @@ tracker.update("frame")  # type: ignore[arg-type]  # wrong
 state: str = first.state  # type: ignore[assignment]  # wrong: it may be None
 pool = TargetPool(options=options)
 number, track = pool.add(frame, (100, 80, 40, 30))
-score: float | None = pool.update(frame)[number].score
+value: float | None = pool.update(frame)[number].score
 pool.add(frame, (100, 80, 40, 30)).box  # type: ignore[attr-defined]  # wrong
 other = open_tracker("dcf:kcf", options)
 other.init(frame, (100, 80, 40, 30))
 other.close("now")  # type: ignore[call-arg]  # wrong
 span = Span(start="1:30", every=2)
 shots: Iterator[list[Track]] = follow("flight.mp4", [(618, 329, 53, 46)], options=options, span=span)
+def everything_else() -> None:
+    trained = train(["clips:CLIPS"], "start.safetensors", "run", options=TrainOptions(seed=1), run=RunOptions())
+    table = rank(trained, ["clips:CLIPS"], images=4)
+    plan(table, remove="0.3")  # type: ignore[arg-type]  # wrong
+    planned = plan("ranks.json", target_latency=2.5, timing=Timing(threads=1))
+    macs: float = plan(table, target_macs=0.5).after["gmacs"]
+    pruned = prune("siamfcpp-alexnet", planned.plan, "pruned.safetensors")
+    rates = calibrate("pruned.safetensors", "CLIPS", constants=TrackingConstants()).rates.hit
+    export_graphs("pruned.safetensors", "graphs", int8="yes")  # type: ignore[arg-type]  # wrong
+    print(info("opencv:mil")["kind"], list_trackers()[0].name, import_model(["official.pkl"]).spec, rates)
+    measured = [*evaluate("SEQUENCES", results="results"), *score("dtb70", "LABELS", ["TRACKERS"])]
+    precision: float = measured[0].mean["otb"].figures["precision"]
+    cells = sensitivity("siamfcpp-alexnet", "ranks.json", "SEQUENCES", "out", shares=[0.5])
+    pages = [*write_report(["results"], "report"), *reproduce(dry_run=True).files]
+    fps: float = bench(threads=1).processors[0]["fps_cpu"]
 try:
     boxes = [[track.box for track in tracks] for tracks in shots]
 except UserError as error:

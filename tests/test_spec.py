@@ -11,35 +11,32 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from psiamfcpp import UserError
+from psiamfcpp.models.siamfcpp_alexnet import ARCHITECTURE
 from psiamfcpp.spec import (
     FORMAT,
-    FULL_WIDTHS,
     Calibration,
     ModelSpec,
     TrackingConstants,
-    feature_size,
-    first_cell,
-    score_size,
 )
 
 
 @pytest.mark.parametrize(("side", "expected"), [(127, 6), (303, 28), (239, 20)])
 def test_feature_size(side: int, expected: int) -> None:
-    assert feature_size(side) == expected
+    assert ARCHITECTURE.feature_size(side) == expected
 
 
 @pytest.mark.parametrize(("search_size", "cells"), [(303, 17), (239, 9), (247, 10), (271, 13), (191, 3), (367, 25)])
 def test_score_map_and_its_first_cell(search_size: int, cells: int) -> None:
-    assert score_size(search_size) == cells
+    assert ARCHITECTURE.score_size(search_size) == cells
     # whatever the size, cell 0 stands at 87, and the last one as far from the other edge
-    assert first_cell(search_size) == 87
+    assert ARCHITECTURE.first_cell(search_size) == 87
     assert search_size - 1 - (87 + 8 * (cells - 1)) == 87
 
 
 @pytest.mark.parametrize("search_size", [0, -1, 100, 127, 175, 183, 300, 302, 304])
 def test_sizes_without_a_map_are_refused(search_size: int) -> None:
     with pytest.raises(UserError, match=f"search size {search_size} .*try 239 or 303"):
-        score_size(search_size)
+        ARCHITECTURE.score_size(search_size)
     with pytest.raises(UserError, match="search size"):
         ModelSpec(search_size=search_size)
 
@@ -48,7 +45,7 @@ numbers = st.floats(allow_nan=False, allow_infinity=False)
 
 
 @given(
-    st.fixed_dictionaries({name: st.integers(1, 2000) for name in FULL_WIDTHS}),
+    st.fixed_dictionaries({name: st.integers(1, 2000) for name in ARCHITECTURE.groups}),
     st.sampled_from([239, 303]),
     st.builds(TrackingConstants, numbers, numbers, numbers),
     st.builds(Calibration, *[numbers] * 6),
@@ -102,19 +99,19 @@ def test_foreign_and_damaged_descriptions_are_refused(text: str, message: str) -
 
 
 def without(name: str) -> dict[str, int]:
-    return {key: value for key, value in FULL_WIDTHS.items() if key != name}
+    return {key: value for key, value in ARCHITECTURE.groups.items() if key != name}
 
 
 @pytest.mark.parametrize(
     ("widths", "message"),
     [
         (without("neck.cls"), r"missing \['neck.cls'\], unknown \[\]"),
-        ({**FULL_WIDTHS, "neck.cla": 3}, r"missing \[\], unknown \['neck.cla'\]"),
+        ({**ARCHITECTURE.groups, "neck.cla": 3}, r"missing \[\], unknown \['neck.cla'\]"),
         ({}, "13 groups"),
-        ({**FULL_WIDTHS, "head.reg2": 0}, "width of head.reg2 is 0"),
-        ({**FULL_WIDTHS, "head.reg2": -5}, "width of head.reg2 is -5"),
-        ({**FULL_WIDTHS, "head.reg2": 1.5}, "width of head.reg2 is 1.5"),
-        ({**FULL_WIDTHS, "head.reg2": "8"}, "width of head.reg2 is '8'"),
+        ({**ARCHITECTURE.groups, "head.reg2": 0}, "width of head.reg2 is 0"),
+        ({**ARCHITECTURE.groups, "head.reg2": -5}, "width of head.reg2 is -5"),
+        ({**ARCHITECTURE.groups, "head.reg2": 1.5}, "width of head.reg2 is 1.5"),
+        ({**ARCHITECTURE.groups, "head.reg2": "8"}, "width of head.reg2 is '8'"),
     ],
 )
 def test_widths_name_the_thirteen_groups(widths: dict[str, int], message: str) -> None:
@@ -126,7 +123,7 @@ def test_widths_name_the_thirteen_groups(widths: dict[str, int], message: str) -
 
 def test_two_specs_do_not_share_their_widths() -> None:
     ModelSpec().widths["neck.cls"] = 1
-    assert ModelSpec().widths["neck.cls"] == FULL_WIDTHS["neck.cls"] == 256
+    assert ModelSpec().widths["neck.cls"] == ARCHITECTURE.groups["neck.cls"] == 256
 
 
 def test_a_model_may_have_no_calibration() -> None:

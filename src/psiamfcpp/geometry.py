@@ -37,14 +37,8 @@ def to_centre(box: ArrayLike) -> tuple[float, float, float, float]:
     return float(cx), float(cy), float(w), float(h)
 
 
-def to_corners(boxes: ArrayLike) -> FloatArray:
-    """Corner form ``(x0, y0, x1, y1)``, last column and row included, of boxes ``(..., 4)``."""
-    b = np.asarray(boxes, dtype=np.float64)
-    return np.concatenate([b[..., :2], b[..., :2] + b[..., 2:] - 1], axis=-1)
-
-
 def from_corners(corners: ArrayLike) -> FloatArray:
-    """Boxes ``(..., 4)`` of corner form ``(x0, y0, x1, y1)``; the inverse of `to_corners`."""
+    """Boxes ``(..., 4)`` of corner form ``(x0, y0, x1, y1)``, last column and row included."""
     c = np.asarray(corners, dtype=np.float64)
     return np.concatenate([c[..., :2], c[..., 2:] - c[..., :2] + 1], axis=-1)
 

@@ -19,10 +19,6 @@ from psiamfcpp.files import parse_json
 from psiamfcpp.models.arch import DEFAULT, Architecture, architecture
 
 FORMAT = "psiamfcpp-model/1"
-# Those of the default architecture; a `ModelSpec` names its own.
-TEMPLATE_SIZE = architecture(DEFAULT).template_size
-STRIDE = architecture(DEFAULT).stride
-FULL_WIDTHS: dict[str, int] = architecture(DEFAULT).groups
 # What a spec takes from its architecture unless it is given.
 _OWN: Any = None
 # What JSON may hold for a field, by its annotation.
@@ -130,30 +126,6 @@ class ModelSpec:
         calibration = data.pop("calibration", {})
         calibration = None if calibration is None else _build(Calibration, calibration)
         return _build(cls, {**data, "constants": constants, "calibration": calibration})
-
-
-def feature_size(side: int) -> int:
-    """Return the side of the default backbone's map for a crop of ``side`` pixels: 28 for 303."""
-    return architecture(DEFAULT).feature_size(side)
-
-
-def score_size(search_size: int, template_size: int = TEMPLATE_SIZE) -> int:
-    """Return the side of the default architecture's score map: 17 for crops of 303 and 127 pixels.
-
-    Raises:
-        UserError: the sizes leave no map, or its cells would not lie symmetrically about the crop's centre.
-    """
-    return architecture(DEFAULT).score_size(search_size, template_size)
-
-
-def first_cell(search_size: int, cells: int | None = None) -> int:
-    """Return the pixel of the search crop, in x and in y, at which cell 0 of the score map stands: 87 for 303.
-
-    Args:
-        search_size: side of the search crop, pixels.
-        cells: side of the score map; by default that of the default architecture.
-    """
-    return (search_size - 1 - ((cells or score_size(search_size)) - 1) * STRIDE) // 2
 
 
 def _check_widths(widths: Mapping[str, int], arch: Architecture) -> None:

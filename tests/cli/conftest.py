@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import importlib.util
 import math
+import re
+import shutil
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -59,30 +62,38 @@ def run(capfd: pytest.CaptureFixture[str]) -> Run:
 
     def call(*args: object) -> Ended:
         capfd.readouterr()
-        code = main([str(arg) for arg in args])
-        return Ended(code, *capfd.readouterr())
+        ended = Ended(main([str(arg) for arg in args]), *capfd.readouterr())
+        missing = re.search(r"^psiamfcpp: this needs (\w+): pip install 'psiamfcpp\[", ended.err)
+        if missing and importlib.util.find_spec(missing[1]) is None:
+            pytest.skip(f"{missing[1]} is not installed")
+        return ended
 
     return call
 
 
+@pytest.fixture(scope="session")
+def moving_blob(tmp_path_factory: pytest.TempPathFactory, blob_frame: Callable[..., Image]) -> Path:
+    """The moving blob as a video and as a folder of images, made once."""
+    root = tmp_path_factory.mktemp("blob")
+    (root / "pictures").mkdir()
+    with VideoWriter(root / "clip.mp4", 25, (320, 240)) as writer:
+        for number, box in enumerate(PATH):
+            frame = blob_frame(box)
+            writer.write(frame)
+            cv2.imwrite(str(root / "pictures" / f"{number}.png"), frame)
+    return root
+
+
 @pytest.fixture
-def clip(tmp_path: Path, blob_frame: Callable[..., Image]) -> Path:
+def clip(tmp_path: Path, moving_blob: Path) -> Path:
     """A video of the moving blob."""
-    path = tmp_path / "clip.mp4"
-    with VideoWriter(path, 25, (320, 240)) as writer:
-        for box in PATH:
-            writer.write(blob_frame(box))
-    return path
+    return Path(shutil.copy(moving_blob / "clip.mp4", tmp_path))
 
 
 @pytest.fixture
-def pictures(tmp_path: Path, blob_frame: Callable[..., Image]) -> Path:
+def pictures(tmp_path: Path, moving_blob: Path) -> Path:
     """A folder of images of the moving blob."""
-    folder = tmp_path / "pictures"
-    folder.mkdir()
-    for number, box in enumerate(PATH):
-        cv2.imwrite(str(folder / f"{number}.png"), blob_frame(box))
-    return folder
+    return Path(shutil.copytree(moving_blob / "pictures", tmp_path / "pictures"))
 
 
 @pytest.fixture(scope="session")

@@ -215,6 +215,7 @@ def test_evaluate_names_what_could_not_be_run_and_keeps_the_rest(
 # calibrate
 
 
+@pytest.mark.slow
 def test_calibrate_stores_limits_in_a_copy(
     run: Run, blob_engine: Any, tiny_model: Path, tmp_path: Path, blob_sequence: Sequences
 ) -> None:

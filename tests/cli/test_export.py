@@ -28,6 +28,7 @@ def test_both_graphs_are_written_and_the_difference_is_said(
     assert run("export", tiny_model, "-o", folder, "--pairs", "4", *data, "--overwrite").code == 0
 
 
+@pytest.mark.slow
 def test_int8_is_judged_by_layer_on_given_data(
     run: Run, tiny_model: Path, tmp_path: Path, blob_sequence, monkeypatch
 ) -> None:
@@ -45,6 +46,7 @@ def test_int8_is_judged_by_layer_on_given_data(
     assert ended.err.count("in 8 bits alone") == 14
 
 
+@pytest.mark.slow
 def test_what_the_graphs_cost_on_sequences_is_said(run: Run, tiny_model: Path, tmp_path: Path, blob_sequence) -> None:
     root = blob_sequence("alpha", [(100, 80, 40, 30), (110, 80, 40, 30), (120, 80, 40, 30)])
     args = ("export", tiny_model, "-o", tmp_path / "graphs", "--data", f"folder:{root}", "--pairs", "4", "--root", root)

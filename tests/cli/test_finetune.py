@@ -9,7 +9,8 @@ from pathlib import Path
 import pytest
 
 from psiamfcpp.models import SiamFCpp, load, save
-from psiamfcpp.spec import FULL_WIDTHS, ModelSpec
+from psiamfcpp.models.siamfcpp_alexnet import ARCHITECTURE
+from psiamfcpp.spec import ModelSpec
 
 from .conftest import Run
 
@@ -24,7 +25,7 @@ def test_a_pruned_model_learns_from_the_unpruned_one(
     clips = blob_sequence("blob", [(90.0 + 3 * t, 80.0, 40, 30) for t in range(3)])
     blob_sequence("other", [(120.0, 80.0 + 3 * t, 30, 36) for t in range(3)])
     pruned = tmp_path / "pruned.safetensors"
-    widths = {name: 2 + number % 5 for number, name in enumerate(FULL_WIDTHS)}
+    widths = {name: 2 + number % 5 for number, name in enumerate(ARCHITECTURE.groups)}
     save(pruned, SiamFCpp(ModelSpec(widths=widths, provenance={"pruning": [{"plan": "x"}]})))
     output = tmp_path / "run"
     ended = run(

@@ -13,7 +13,7 @@ from safetensors.torch import save_file
 
 from psiamfcpp.models import load, save
 from psiamfcpp.models.official import _RENAMES
-from psiamfcpp.spec import FULL_WIDTHS
+from psiamfcpp.models.siamfcpp_alexnet import ARCHITECTURE
 
 from .conftest import Run
 
@@ -30,7 +30,7 @@ def test_info_describes_a_narrow_model(run: Run, tiny_model: Path) -> None:
     neck = 4 * (8 * 8 * 9 + 8 + 16)
     head = 2 * (3 * (8 * 8 * 9 + 8) + 16) + 2 * (8 + 1 + 2) + (8 * 4 + 4 + 8) + 2
     assert facts["parameters"] == backbone + neck + head
-    assert facts["widths"] == dict.fromkeys(FULL_WIDTHS, 8)
+    assert facts["widths"] == dict.fromkeys(ARCHITECTURE.groups, 8)
     assert facts["search_size"] == 303
     assert facts["calibration"]["lost_below"] == 0.2
     assert facts["constants"]["test_lr"] == 0.5249642198880932
@@ -80,6 +80,25 @@ def test_a_name_that_is_too_long_is_one_line(run: Run, command: tuple[str, ...])
     assert run(*command, "a" * 500).refused()
 
 
+@pytest.mark.parametrize(
+    ("tracker", "facts"),
+    [
+        ("opencv:mil", {"kind": "opencv", "name": "opencv-mil"}),
+        ("TrackerMIL", {"kind": "opencv", "name": "TrackerMIL"}),
+        ("trax:tracker --fast", {"kind": "trax", "name": "trax-tracker"}),
+    ],
+)
+def test_info_takes_every_tracker_that_track_takes(run: Run, tracker: str, facts: dict[str, str]) -> None:
+    assert facts.items() <= json.loads(run("info", tracker, "--json").out).items()
+    text = run("info", tracker).out
+    assert all(f"{key:12} {value}\n" in text for key, value in facts.items())
+
+
+def test_options_of_a_model_do_not_change_its_description(run: Run, tiny_model: Path) -> None:
+    assert run("info", f"{tiny_model},plain=true").out == run("info", tiny_model).out
+    assert "'plan'" in run("info", f"{tiny_model},plan=true").refused()
+
+
 # import
 
 
@@ -110,6 +129,7 @@ def test_import_refuses_what_is_no_checkpoint_and_runs_nothing(run: Run, tmp_pat
     assert sorted(p.name for p in tmp_path.iterdir()) == ["given"]
 
 
+@pytest.mark.slow
 def test_import_converts_an_official_checkpoint(run: Run, tmp_path: Path, full_model: Path) -> None:
     model = load(full_model)
     official = {}

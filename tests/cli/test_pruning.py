@@ -13,7 +13,7 @@ import torch
 
 from psiamfcpp.models import load
 from psiamfcpp.models.arch import architecture
-from psiamfcpp.spec import FULL_WIDTHS
+from psiamfcpp.models.siamfcpp_alexnet import ARCHITECTURE
 
 from .conftest import Run
 
@@ -36,7 +36,7 @@ def full_table(tmp_path: Path) -> Path:
     flat = ("backbone.conv5", "neck.cls", "neck.reg")
     groups = {
         name: {"rank": [28.0] * width if name in flat else [float(r) for r in rng.permutation(width) + 1], "max": 999}
-        for name, width in FULL_WIDTHS.items()
+        for name, width in ARCHITECTURE.groups.items()
     }
     path = tmp_path / "full.json"
     path.write_text(json.dumps({"format": "psiamfcpp-ranks/1", "images": 9, "groups": groups}))
@@ -51,7 +51,7 @@ def test_rank_plan_prune_and_follow(run: Run, tiny_model: Path, clips: Path, tmp
     facts = json.loads(ended.out)
     table = json.loads(ranks.read_text())
     assert (facts["images"], table["images"], table["search_size"]) == (6, 6, 303)
-    assert list(facts["groups"]) == list(table["groups"]) == list(FULL_WIDTHS)
+    assert list(facts["groups"]) == list(table["groups"]) == list(ARCHITECTURE.groups)
     assert "2**-23" in table["tolerance"]
     conv1 = table["groups"]["backbone.conv1"]
     assert (conv1["max"], conv1["template"]["max"], conv1["search"]["max"]) == (103, 59, 147)
@@ -60,13 +60,13 @@ def test_rank_plan_prune_and_follow(run: Run, tiny_model: Path, clips: Path, tmp
     )
     assert [row["images"] for row in table["stability"]["head.cls3"]] == [6]
     assert ranks.with_suffix(".png").read_bytes().startswith(b"\x89PNG")
-    assert all(facts["groups"][name]["dead"] == table["groups"][name]["rank"].count(0) for name in FULL_WIDTHS)
+    assert all(facts["groups"][name]["dead"] == table["groups"][name]["rank"].count(0) for name in ARCHITECTURE.groups)
 
     text = run("plan", ranks, "--keep", "backbone.conv2=0.5", "head.reg1=0.25", "-o", plan)
     assert text.code == 0
     keep = json.loads(plan.read_text())["keep"]
     assert {name: len(filters) for name, filters in keep.items()} == {
-        **dict.fromkeys(FULL_WIDTHS, 8),
+        **dict.fromkeys(ARCHITECTURE.groups, 8),
         "backbone.conv2": 4,
         "head.reg1": 2,
     }
@@ -157,7 +157,7 @@ def test_the_papers_plan(run: Run, full_table: Path) -> None:
 
 
 def test_thresholds_give_the_papers_widths(run: Run, full_table: Path) -> None:
-    limits = [f"{n}={w - k}" for (n, w), k in zip(FULL_WIDTHS.items(), PAPER, strict=True) if k < w]
+    limits = [f"{n}={w - k}" for (n, w), k in zip(ARCHITECTURE.groups.items(), PAPER, strict=True) if k < w]
     facts = json.loads(run("plan", full_table, "--threshold", *limits, "--json").out)
     assert list(facts["after"]["widths"].values()) == PAPER
 
@@ -236,7 +236,7 @@ def test_a_plan_times_the_graphs_that_would_be_shipped(
         return found
 
     monkeypatch.setattr(plan, "open_engine", remember)
-    spec = ModelSpec(widths=dict.fromkeys(FULL_WIDTHS, 4), search_size=191)
+    spec = ModelSpec(widths=dict.fromkeys(ARCHITECTURE.groups, 4), search_size=191)
     assert 0 < plan.milliseconds(spec, plan.Timing(**timing)) < 60_000
     assert opened == [(engine, precision)]
 
@@ -259,7 +259,7 @@ def test_plans_by_every_criterion(
         assert ended.code == 0, ended.err
         assert f"highest {criterion} removed" in ended.out
         plans[criterion] = json.loads(output.read_text())["keep"]
-    assert plans["mine:last"] == {name: [4, 5, 6, 7] for name in FULL_WIDTHS}
+    assert plans["mine:last"] == {name: [4, 5, 6, 7] for name in ARCHITECTURE.groups}
     assert len({json.dumps(keep) for keep in plans.values()}) == len(plans)
     # With the model or without it, the table's ranks give the same plan.
     bare = tmp_path / "bare.json"
@@ -287,6 +287,7 @@ def test_a_rank_table_alone_serves_no_other_criterion(run: Run, tiny_model: Path
     assert "is not of this model, whose widths differ" in run(*args).refused()
 
 
+@pytest.mark.slow
 def test_clips_held_out_of_training_are_not_ranked(run: Run, tiny_model: Path, clips: Path, tmp_path: Path) -> None:
     args = ("rank", tiny_model, "--data", f"folder:{clips}", "-o", tmp_path / "ranks.json", "--images", 2)
     assert "no usable box" in run(*args, "--held-out-every", 1).refused()
@@ -334,7 +335,7 @@ def test_tables_of_other_groups_are_refused(run: Run, full_table: Path) -> None:
 
 @pytest.mark.slow
 def test_plans_that_do_not_fit_are_refused(run: Run, tiny_model: Path, tmp_path: Path) -> None:
-    whole = {name: list(range(8)) for name in FULL_WIDTHS}
+    whole = {name: list(range(8)) for name in ARCHITECTURE.groups}
     path, output = tmp_path / "plan.json", tmp_path / "pruned.safetensors"
     for change, message in (
         ({"head.cls1": [0, 0]}, "twice"),

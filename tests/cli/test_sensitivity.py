@@ -10,8 +10,8 @@ from typing import Any
 
 import pytest
 
+from psiamfcpp.models.siamfcpp_alexnet import ARCHITECTURE
 from psiamfcpp.recipes.sensitivity_report import criteria_table, ratio_table
-from psiamfcpp.spec import FULL_WIDTHS
 
 from .conftest import Run
 
@@ -27,7 +27,7 @@ def clips(blob_sequence: Callable[..., Path]) -> Path:
 @pytest.fixture
 def ranks(tmp_path: Path) -> Path:
     """A table of the narrow model: ranks 1 to 8."""
-    groups = {name: {"rank": list(range(1, 9)), "max": 9} for name in FULL_WIDTHS}
+    groups = {name: {"rank": list(range(1, 9)), "max": 9} for name in ARCHITECTURE.groups}
     path = tmp_path / "ranks.json"
     path.write_text(json.dumps({"format": "psiamfcpp-ranks/1", "images": 9, "groups": groups}))
     return path

@@ -18,17 +18,20 @@ def clip() -> list[DemoFrame]:
     return list(render(seed=3, frames=100, size=SMALL))
 
 
+@pytest.mark.slow
 def test_the_clip_has_the_frames_asked_for(clip: list[DemoFrame]) -> None:
     assert len(clip) == 100
     assert all(f.image.shape == (360, 640, 3) and f.image.dtype == np.uint8 for f in clip)
 
 
+@pytest.mark.slow
 def test_the_box_stays_inside_the_frame(clip: list[DemoFrame]) -> None:
     boxes = np.array([f.box for f in clip])
     assert (boxes[:, :2] >= 0).all()
     assert (boxes[:, :2] + boxes[:, 2:] <= SMALL).all()
 
 
+@pytest.mark.slow
 def test_the_target_is_hidden_once(clip: list[DemoFrame]) -> None:
     visible = np.array([f.visible for f in clip])
     assert 5 <= (~visible).sum() <= 9
@@ -36,12 +39,14 @@ def test_the_target_is_hidden_once(clip: list[DemoFrame]) -> None:
     assert visible[0] and visible[-1]
 
 
+@pytest.mark.slow
 def test_the_target_grows_and_shrinks(clip: list[DemoFrame]) -> None:
     sides = np.array([max(f.box[2:]) for f in clip])
     assert 16 < sides.min() < 20 and 30 < sides.max() < 35
     assert sides.argmin() not in (0, 99)
 
 
+@pytest.mark.slow
 def test_the_box_moves_smoothly(clip: list[DemoFrame]) -> None:
     boxes = np.array([f.box for f in clip])
     steps = np.abs(np.diff(boxes[:, :2] + boxes[:, 2:] / 2, axis=0))
@@ -49,6 +54,7 @@ def test_the_box_moves_smoothly(clip: list[DemoFrame]) -> None:
     assert np.ptp(boxes[:, :2], axis=0).min() > 60
 
 
+@pytest.mark.slow
 def test_the_target_is_where_the_box_says(clip: list[DemoFrame]) -> None:
     first = _roof(clip[0])
     colour = min(TARGET_COLOURS, key=lambda c: float(np.abs(np.array(c) - first).sum()))

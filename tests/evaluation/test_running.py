@@ -90,6 +90,7 @@ def results(folder: Path) -> dict[str, str]:
     return found
 
 
+@pytest.mark.slow
 def test_a_killed_run_goes_on_where_it_was(root: Path, module: str, tmp_path: Path) -> None:
     folder = tmp_path / "r" / "folder" / "Slow"
     command = ["evaluate", "--root", str(root), "--tracker", f"{module}:Slow", "--results", str(tmp_path / "r")]
@@ -187,6 +188,7 @@ def test_several_trackers_side_by_side_leave_the_same_as_one_by_one(root: Path, 
     assert (facts["jobs"], facts["threads"], facts["root"]) == (2, None, str(root))
 
 
+@pytest.mark.slow
 def test_a_worker_that_is_killed_is_said(root: Path, module: str, tmp_path: Path) -> None:
     with pytest.raises(UserError, match=r"a process that ran sequences was killed, .*give fewer --jobs"):
         run([choose(f"{module}:Deadly")], "folder", root, datasets.read("folder", root), tmp_path / "r", jobs=2)

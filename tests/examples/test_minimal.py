@@ -34,6 +34,7 @@ def ride(tmp_path: Path, rendered_clip: list[DemoFrame]) -> Iterator[tuple[Path,
         yield path, shots[0].box, list(source)
 
 
+@pytest.mark.slow
 def test_it_gives_the_boxes_of_the_package(
     tiny_graphs: Path, ride: tuple[Path, tuple[float, ...], list[Image]]
 ) -> None:

@@ -153,7 +153,7 @@ def test_dividing_channels_changes_nothing_that_comes_out(network: SiamFCpp, pai
     expected, found = (answer(network, Ranges(factors=some), pairs[0]) for some in ({}, factors))
     assert_allclose(found[0], expected[0], atol=2e-3)  # weights are stored in half precision
     assert_allclose(found[1], expected[1], rtol=0.02, atol=0.5)
-    plain, changed = layers(network), divided(layers(network), factors, network.spec.arch)
+    plain, changed = layers(network), divided(layers(network), factors, network.spec.arch.readers)
     assert all((changed[name].gain != plain[name].gain).all() for name in READERS)
 
 
@@ -209,6 +209,7 @@ def test_samples_are_the_same_each_time_and_come_from_every_source(blob_sequence
     assert all(p.template[63, 63].min() > 200 and p.search.max() > 200 for p in first)
 
 
+@pytest.mark.slow
 def test_without_data_targets_of_rendered_clips_are_shown() -> None:
     (pair,) = rendered(ModelSpec(search_size=191), 1)
     assert (pair.template.shape, pair.search.shape) == ((127, 127, 3), (191, 191, 3))

@@ -178,6 +178,7 @@ def test_each_layer_is_judged_alone(network: LightFC, ranges: Ranges, pairs: lis
     assert by_layer["backbone.project3"].scores > 0 and by_layer["backbone.project3"].boxes > 0
 
 
+@pytest.mark.slow
 def test_crops_are_those_of_the_procedure(network: LightFC, pairs: list[Pair], tmp_path: Path) -> None:
     assert (pairs[0].template.shape, pairs[0].search.shape) == ((128, 128, 3), (256, 256, 3))
     frame = tmp_path / "frame.png"

@@ -6,12 +6,12 @@ import pytest
 import torch
 
 from psiamfcpp.models import SiamFCpp
-from psiamfcpp.spec import FULL_WIDTHS
+from psiamfcpp.models.siamfcpp_alexnet import ARCHITECTURE
 
 
 @pytest.fixture(scope="session")
 def full_network(make_network: Callable[..., SiamFCpp]) -> SiamFCpp:
-    return make_network(1, dict(FULL_WIDTHS))
+    return make_network(1, dict(ARCHITECTURE.groups))
 
 
 @pytest.fixture

@@ -12,7 +12,8 @@ from torch import Tensor
 from psiamfcpp.errors import UserError
 from psiamfcpp.models import SiamFCpp, save
 from psiamfcpp.models.alexnet import init_backbone, is_alexnet
-from psiamfcpp.spec import FULL_WIDTHS, ModelSpec
+from psiamfcpp.models.siamfcpp_alexnet import ARCHITECTURE
+from psiamfcpp.spec import ModelSpec
 
 SHAPES = {
     0: (64, 3, 11, 11),
@@ -52,6 +53,7 @@ def normalised_rgb(bgr: Tensor) -> Tensor:
     return (bgr.flip(1) / 255 - mean[None, :, None, None]) / deviation[None, :, None, None]
 
 
+@pytest.mark.slow
 @torch.no_grad()
 def test_conv1_takes_bgr_levels(write, weights, crops):
     network = SiamFCpp()
@@ -94,7 +96,7 @@ def test_copies_resemble_one_original_but_equal_none(write, layer: str, publishe
     init_backbone(network, write())
     filters = getattr(network.backbone, layer).conv.weight.detach().flatten(1)
     originals, copies = filters[:published], filters[published:]
-    assert len(copies) == FULL_WIDTHS[f"backbone.{layer}"] - published
+    assert len(copies) == ARCHITECTURE.groups[f"backbone.{layer}"] - published
     alike = F.normalize(copies) @ F.normalize(originals).T
     assert (alike.amax(dim=1) > 0.98).all()
     assert len(set(alike.argmax(dim=1).tolist())) == len(copies)
@@ -148,7 +150,7 @@ def test_other_shapes_name_the_layer(write, layer: str, name: str, shape: tuple[
     ("width", "complaint"), [(63, "at most 63 filters"), (129, "cannot widen 64 filters to 129: at most twice")]
 )
 def test_networks_too_narrow_or_too_wide(write, width: int, complaint: str):
-    network = SiamFCpp(ModelSpec(widths={**FULL_WIDTHS, "backbone.conv1": width}))
+    network = SiamFCpp(ModelSpec(widths={**ARCHITECTURE.groups, "backbone.conv1": width}))
     with pytest.raises(UserError, match=complaint):
         init_backbone(network, write())
 

@@ -164,6 +164,7 @@ def test_a_second_architecture_is_exported_and_run_by_its_table(
     assert opened.template(rendered(shallow, 1)[0].template)[0].shape[-1] == shallow.arch.side("neck.cls_search", 119)
 
 
+@pytest.mark.slow
 def test_a_first_kernel_of_any_odd_side_has_an_8_bit_form(monkeypatch: pytest.MonkeyPatch) -> None:
     onnx = pytest.importorskip("onnx")
     from psiamfcpp.export.crops import rendered

@@ -14,7 +14,8 @@ from safetensors.torch import save_file
 from psiamfcpp.errors import UserError
 from psiamfcpp.models import load, save
 from psiamfcpp.models.checkpoint import fit, read
-from psiamfcpp.spec import FULL_WIDTHS, Calibration, TrackingConstants
+from psiamfcpp.models.siamfcpp_alexnet import ARCHITECTURE
+from psiamfcpp.spec import Calibration, TrackingConstants
 
 
 @pytest.fixture
@@ -145,10 +146,13 @@ def test_damaged_files(checkpoint: Path, damage):
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"widths": dict.fromkeys(FULL_WIDTHS, 10**4)}, "of another shape: backbone.conv1.bn.bias"),
-        ({"widths": dict.fromkeys(FULL_WIDTHS, 10**6)}, "width of .* is 1000000: it must be a whole number from 1 to"),
-        ({"widths": {**FULL_WIDTHS, "neck.cls": 10**30}}, "width of neck.cls is 1000000"),
-        ({"widths": {**FULL_WIDTHS, "neck.cls": True}}, "width of neck.cls is True"),
+        ({"widths": dict.fromkeys(ARCHITECTURE.groups, 10**4)}, "of another shape: backbone.conv1.bn.bias"),
+        (
+            {"widths": dict.fromkeys(ARCHITECTURE.groups, 10**6)},
+            "width of .* is 1000000: it must be a whole number from 1 to",
+        ),
+        ({"widths": {**ARCHITECTURE.groups, "neck.cls": 10**30}}, "width of neck.cls is 1000000"),
+        ({"widths": {**ARCHITECTURE.groups, "neck.cls": True}}, "width of neck.cls is True"),
         ({"template_size": 95}, "template size is 95: siamfcpp-alexnet has 127"),
         ({"template_size": -1}, "template size is -1"),
         ({"search_size": 8_000_000_303}, "search size 8000000303 is too large"),

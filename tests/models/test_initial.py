@@ -5,12 +5,13 @@ import torch
 
 from psiamfcpp.models import SiamFCpp
 from psiamfcpp.models.initial import init_neck_and_head
-from psiamfcpp.spec import FULL_WIDTHS, ModelSpec
+from psiamfcpp.models.siamfcpp_alexnet import ARCHITECTURE
+from psiamfcpp.spec import ModelSpec
 
 
 def fresh(seed: int, torch_seed: int = 0) -> SiamFCpp:
     torch.manual_seed(torch_seed)
-    network = SiamFCpp(ModelSpec(widths=dict.fromkeys(FULL_WIDTHS, 24), search_size=239))
+    network = SiamFCpp(ModelSpec(widths=dict.fromkeys(ARCHITECTURE.groups, 24), search_size=239))
     init_neck_and_head(network, seed)
     return network
 
@@ -27,7 +28,7 @@ def test_the_seed_alone_decides_neck_and_head(seed: int, equal: bool):
 
 def test_the_backbone_is_left_alone():
     torch.manual_seed(0)
-    untouched = SiamFCpp(ModelSpec(widths=dict.fromkeys(FULL_WIDTHS, 24), search_size=239))
+    untouched = SiamFCpp(ModelSpec(widths=dict.fromkeys(ARCHITECTURE.groups, 24), search_size=239))
     assert torch.equal(untouched.backbone.conv1.conv.weight, fresh(3).backbone.conv1.conv.weight)
 
 

@@ -10,10 +10,11 @@ from torch import Tensor, nn
 from psiamfcpp.models import SiamFCpp
 from psiamfcpp.models.cost import count_parameters, search_macs
 from psiamfcpp.models.network import cell_grid, depthwise_correlation, to_boxes
-from psiamfcpp.spec import FULL_WIDTHS, ModelSpec
+from psiamfcpp.models.siamfcpp_alexnet import ARCHITECTURE
+from psiamfcpp.spec import ModelSpec
 
 PRUNED = dict(
-    zip(FULL_WIDTHS, (76, 224, 337, 334, 256, 256, 256, 230, 138, 224, 227, 145, 224), strict=True),
+    zip(ARCHITECTURE.groups, (76, 224, 337, 334, 256, 256, 256, 230, 138, 224, 227, 145, 224), strict=True),
 )
 
 
@@ -115,7 +116,7 @@ def test_batchnorm_follows_every_block_but_the_first_two_of_each_head(full_netwo
     assert without == {"head.cls1", "head.cls2", "head.reg1", "head.reg2"}
 
 
-@pytest.mark.parametrize(("widths", "count"), [(FULL_WIDTHS, 9_655_380), (PRUNED, 7_489_986)])
+@pytest.mark.parametrize(("widths", "count"), [(ARCHITECTURE.groups, 9_655_380), (PRUNED, 7_489_986)])
 def test_parameters(make_network, widths: dict[str, int], count: int):
     assert count_parameters(make_network(0, dict(widths))) == count
 
@@ -150,6 +151,7 @@ def test_depthwise_correlation_against_a_loop(kernel_batch: int):
     torch.testing.assert_close(depthwise_correlation(features, kernels), expected)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kernel_batch", [1, 2])
 def test_gradients_of_the_correlation_are_those_of_finite_differences(kernel_batch: int):
     generator = torch.Generator().manual_seed(0)

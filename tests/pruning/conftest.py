@@ -13,12 +13,13 @@ import torch
 from torch import nn
 
 from psiamfcpp.models import SiamFCpp
+from psiamfcpp.models.siamfcpp_alexnet import ARCHITECTURE
 from psiamfcpp.pruning import Plan, RankTable
 from psiamfcpp.pruning.groups import Group
 from psiamfcpp.pruning.table import GroupRanks
-from psiamfcpp.spec import FULL_WIDTHS, ModelSpec
+from psiamfcpp.spec import ModelSpec
 
-WIDTHS = {name: 4 + 2 * (number % 3) for number, name in enumerate(FULL_WIDTHS)}
+WIDTHS = {name: 4 + 2 * (number % 3) for number, name in enumerate(ARCHITECTURE.groups)}
 
 
 def randomize(model: nn.Module, seed: int = 0) -> nn.Module:
@@ -73,7 +74,7 @@ def pair() -> tuple[torch.Tensor, torch.Tensor]:
 def make_table() -> Callable[..., RankTable]:
     """A table of the 13 groups: ranks rising from 0.5 to the width, in a shuffled order, necks and conv5 flat."""
 
-    def make(widths: dict[str, int] = FULL_WIDTHS, norms: bool = True) -> RankTable:
+    def make(widths: dict[str, int] = ARCHITECTURE.groups, norms: bool = True) -> RankTable:
         rng = np.random.default_rng(0)
         groups = {}
         for name, width in widths.items():

@@ -13,11 +13,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from psiamfcpp.errors import UserError
-from psiamfcpp.models.siamfcpp_alexnet import PAPER_KEEP
+from psiamfcpp.models.siamfcpp_alexnet import ARCHITECTURE, PAPER_KEEP
 from psiamfcpp.pruning import Plan, RankTable, plan
 from psiamfcpp.pruning.planning import plan_for_budget, rows
 from psiamfcpp.pruning.table import GroupRanks
-from psiamfcpp.spec import FULL_WIDTHS
 
 PAPER_WIDTHS = {
     "backbone.conv1": 76,
@@ -56,7 +55,11 @@ def test_the_papers_shares_give_the_papers_widths(make_table: MakeTable) -> None
 def test_thresholds_that_lie_between_ranks_give_the_same_plan_as_shares(make_table: MakeTable) -> None:
     # Ranks of a group are 0.5, 1.5, ... so that width - kept is a rank between the last that goes and the first kept.
     ranks = make_table()
-    limits = {name: float(FULL_WIDTHS[name] - kept) for name, kept in PAPER_WIDTHS.items() if kept < FULL_WIDTHS[name]}
+    limits = {
+        name: float(ARCHITECTURE.groups[name] - kept)
+        for name, kept in PAPER_WIDTHS.items()
+        if kept < ARCHITECTURE.groups[name]
+    }
     assert plan(ranks, threshold=limits) == plan(ranks, keep=PAPER_KEEP)
     assert plan(ranks, threshold=limits).widths == PAPER_WIDTHS
 
@@ -179,7 +182,7 @@ def test_tables_survive_their_file(tmp_path: Path, make_table: MakeTable) -> Non
     path, ranks = tmp_path / "ranks.json", make_table()
     ranks.write(path)
     read = RankTable.read(path)
-    assert (read.images, read.widths) == (100, FULL_WIDTHS)
+    assert (read.images, read.widths) == (100, ARCHITECTURE.groups)
     for name, group in ranks.groups.items():
         assert read.groups[name].rank == pytest.approx(group.rank, abs=1e-6)
         assert read.groups[name].norm == pytest.approx(group.norm, abs=1e-6)

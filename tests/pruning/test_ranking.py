@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch import nn
+from torch.nn import functional
 
 from psiamfcpp.errors import UserError
 from psiamfcpp.models import SiamFCpp
+from psiamfcpp.models.siamfcpp_alexnet import ARCHITECTURE
 from psiamfcpp.pruning import rank
 from psiamfcpp.pruning.groups import Group, find_groups
 from psiamfcpp.pruning.models import groups_of
 from psiamfcpp.pruning.ranking import map_ranks
-from psiamfcpp.spec import FULL_WIDTHS, ModelSpec
+from psiamfcpp.spec import ModelSpec
 
 from .conftest import WIDTHS
 
@@ -85,10 +89,22 @@ def test_ranks_are_means_over_images_of_all_batches() -> None:
     assert (group.max, group.dead, group.flat) == (9, 1, False)
 
 
+class Called(nn.Module):
+    """A function in place of a module, as many networks call ReLU in their forward."""
+
+    def __init__(self, function: Callable[[torch.Tensor], torch.Tensor]) -> None:
+        super().__init__()
+        self.forward = function
+
+
 @pytest.mark.parametrize(
     "after",
     [
         (nn.ReLU(),),
+        (Called(functional.relu),),
+        (Called(torch.relu_),),
+        (Called(lambda x: x.clamp(min=0)),),
+        (nn.BatchNorm2d(3), Called(torch.Tensor.relu), Called(lambda x: x + 1)),
         (nn.ReLU(inplace=True),),
         (nn.BatchNorm2d(3), nn.ReLU()),
         (nn.ReLU(), nn.MaxPool2d(3, 3)),
@@ -143,7 +159,7 @@ def test_groups_of_a_residual_network_with_grouped_convolutions(residual: nn.Mod
 def test_the_dependency_graph_finds_our_thirteen_groups(siamese: SiamFCpp, pair: tuple[torch.Tensor, ...]) -> None:
     ours = groups_of(ModelSpec(widths=dict(WIDTHS)))
     found = find_groups(siamese, tuple(crop[:1] for crop in pair))
-    assert list(ours) == list(FULL_WIDTHS)
+    assert list(ours) == list(ARCHITECTURE.groups)
     as_ours = {tuple(b.removesuffix(".conv") for b in g.blocks): g.width for g in found.values()}
     assert as_ours == {group.blocks: group.width for group in ours.values()}
 

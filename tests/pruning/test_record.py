@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy.stats import spearmanr
 
 from psiamfcpp.errors import UserError
 from psiamfcpp.pruning.ranking import Looked
@@ -52,6 +51,9 @@ def test_stability_compares_even_and_odd_images_of_growing_numbers() -> None:
 
 @given(st.lists(st.tuples(st.integers(0, 5), st.integers(0, 5)), min_size=2))
 def test_rank_correlation_is_spearmans(pairs: list[tuple[int, int]]) -> None:
+    # Here, since its import takes a second.
+    from scipy.stats import spearmanr
+
     a, b = np.array(pairs, dtype=float).T
     found = rank_correlation(a, b)
     if len(set(a)) == 1 or len(set(b)) == 1:

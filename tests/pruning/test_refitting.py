@@ -83,6 +83,7 @@ def test_residual_and_grouped_networks_come_nearer_to_what_they_were(residual: n
     assert fitted is not pruned and all(torch.equal(v, before[k]) for k, v in pruned.state_dict().items())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("frozen", [False, True])
 def test_our_network_comes_nearer_to_what_it_was(siamese: SiamFCpp, pair: Pair, frozen: bool) -> None:
     groups = groups_of(ModelSpec(widths=dict(WIDTHS)))

@@ -13,10 +13,11 @@ from torch import nn
 from psiamfcpp.errors import UserError
 from psiamfcpp.models import SiamFCpp
 from psiamfcpp.models.cost import count_parameters
+from psiamfcpp.models.siamfcpp_alexnet import ARCHITECTURE
 from psiamfcpp.pruning import Plan, plan, prune, rank
 from psiamfcpp.pruning.groups import find_groups
 from psiamfcpp.pruning.models import groups_of, prune_model
-from psiamfcpp.spec import FULL_WIDTHS, Calibration, ModelSpec
+from psiamfcpp.spec import Calibration, ModelSpec
 
 from .conftest import WIDTHS, randomize, silence
 
@@ -46,7 +47,7 @@ def test_keeping_everything_changes_no_bit(siamese: SiamFCpp, pair: Pair) -> Non
     assert all(torch.equal(a, b) for a, b in zip(run(siamese, *pair), run(pruned, *pair), strict=True))
 
 
-@pytest.mark.parametrize("group", [*FULL_WIDTHS, "all"])
+@pytest.mark.parametrize("group", [*ARCHITECTURE.groups, "all"])
 def test_a_pruned_network_is_the_full_one_with_those_filters_silenced(
     siamese: SiamFCpp, pair: Pair, group: str
 ) -> None:
@@ -108,12 +109,13 @@ def test_spec_keeps_all_but_the_widths() -> None:
     assert not pruned.training and prune_model(model.train(), Plan({"head.cls1": [1]})).training
 
 
+@pytest.mark.slow
 def test_the_papers_plan_gives_the_papers_parameters() -> None:
     from psiamfcpp.models.siamfcpp_alexnet import PAPER_KEEP
     from psiamfcpp.pruning.planning import kept_count
 
     model = SiamFCpp()
-    keep = {name: list(range(kept_count(name, FULL_WIDTHS[name], share))) for name, share in PAPER_KEEP.items()}
+    keep = {name: list(range(kept_count(name, ARCHITECTURE.groups[name], share))) for name, share in PAPER_KEEP.items()}
     assert count_parameters(model) == 9_655_380
     assert count_parameters(prune_model(model, Plan(keep))) == 7_489_986
 
@@ -158,6 +160,7 @@ def test_plans_for_another_network_are_refused(siamese: SiamFCpp) -> None:
         prune_model(siamese, Plan({"conv9": [0]}))
 
 
+@pytest.mark.slow
 def test_the_example_runs(example: ModuleType, capsys: pytest.CaptureFixture[str]) -> None:
     example.main()
     printed = capsys.readouterr().out

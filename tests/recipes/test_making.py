@@ -11,9 +11,9 @@ import torch
 
 from psiamfcpp.errors import UserError
 from psiamfcpp.models import load
+from psiamfcpp.models.siamfcpp_alexnet import ARCHITECTURE
 from psiamfcpp.pruning import Context, Group, Plan
 from psiamfcpp.recipes import calibrate, export, plan, prune, rank, scoring
-from psiamfcpp.spec import FULL_WIDTHS
 
 
 @pytest.fixture
@@ -27,10 +27,10 @@ def test_from_a_ranking_to_graphs_without_a_file_in_between(tiny_model: Path, cl
     pytest.importorskip("onnx")
     data, before = [f"folder:{clips}"], set(tmp_path.rglob("*"))
     ranks = rank.rank(tiny_model, data, images=2, held_out_every=0)
-    assert ranks.images == 2 and ranks.widths == dict.fromkeys(FULL_WIDTHS, 8)
-    assert set(rank.summary(ranks)) == set(FULL_WIDTHS)
+    assert ranks.images == 2 and ranks.widths == dict.fromkeys(ARCHITECTURE.groups, 8)
+    assert set(rank.summary(ranks)) == set(ARCHITECTURE.groups)
     planned = plan.plan(ranks, keep={"head.reg1": 0.5})
-    assert planned.plan.widths == {**dict.fromkeys(FULL_WIDTHS, 8), "head.reg1": 4} == planned.after["widths"]
+    assert planned.plan.widths == {**dict.fromkeys(ARCHITECTURE.groups, 8), "head.reg1": 4} == planned.after["widths"]
     assert planned.before["parameters"] > planned.after["parameters"] and planned.times is None
     pruned = prune.prune(tiny_model, planned.plan, data=data, images=2, held_out_every=0)
     assert pruned.after == planned.after
@@ -50,8 +50,8 @@ def test_a_criterion_may_be_a_function(tiny_model: Path) -> None:
         return np.arange(group.width, 0, -1)
 
     table = scoring.score_model(load(tiny_model), first)
-    assert table.about["criterion"] == "first" and seen == [(name, True) for name in FULL_WIDTHS]
-    assert plan.plan(table, remove=0.75, flat=True).plan.keep == {name: [0, 1] for name in FULL_WIDTHS}
+    assert table.about["criterion"] == "first" and seen == [(name, True) for name in ARCHITECTURE.groups]
+    assert plan.plan(table, remove=0.75, flat=True).plan.keep == {name: [0, 1] for name in ARCHITECTURE.groups}
 
 
 def test_the_architecture_of_a_table_decides_its_groups(tiny_model: Path) -> None:

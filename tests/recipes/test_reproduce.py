@@ -130,6 +130,7 @@ def test_what_is_done_is_not_run_again(
     assert cut.read_text() == before
 
 
+@pytest.mark.slow
 def test_result_files_will_do_without_frames(benchmarks: Path, tmp_path: Path) -> None:
     for folder in benchmarks.glob("**/*.jpg"):
         folder.unlink()

@@ -241,6 +241,7 @@ def test_speeds_on_a_gpu_are_shown_where_some_were_published(comparison: Compari
     assert "238.2" in text
 
 
+@pytest.mark.slow
 def test_the_same_figures_give_the_same_plot(comparison: Comparison) -> None:
     first, second = (as_files(curves(comparison, "success", "otb", STYLES)) for _ in range(2))
     assert first == second

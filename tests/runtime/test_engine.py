@@ -67,6 +67,7 @@ def test_an_engine_is_the_network(
     assert_allclose(boxes, expected_boxes[0], rtol=1e-3, atol=1e-3)
 
 
+@pytest.mark.slow
 def test_all_engines_follow_a_clip_alike(
     engine: str, runnable: str, tiny_model: Path, rendered_clip: list[DemoFrame]
 ) -> None:
@@ -236,6 +237,7 @@ def test_without_torch_the_install_line_is_given(tiny_model: Path, monkeypatch: 
         open_engine(str(tiny_model), "torch")
 
 
+@pytest.mark.slow
 def test_a_signal_is_survived_after_several_openvino_engines(tiny_graphs: Path) -> None:
     pytest.importorskip("openvino")
     program = f"""

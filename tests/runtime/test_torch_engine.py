@@ -80,6 +80,7 @@ def test_a_gpu_computes_in_half_precision(tiny_model: Path, monkeypatch: pytest.
     assert_allclose(many[0], scores, atol=2e-3)
 
 
+@pytest.mark.slow
 def test_a_trained_model_finds_the_same_boxes_in_half_precision(
     rendered_clip: list[DemoFrame], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -69,6 +69,46 @@ def test_control_is_free_once_its_holder_is_silent(monkeypatch: pytest.MonkeyPat
     assert not lease.claim("a")
 
 
+def test_control_is_handed_over_to_the_one_that_asks_for_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("psiamfcpp.serve.control.LEASE_S", 15.0)
+    clock = Clock()
+    lease = Lease(clock)
+    assert lease.ask("a")
+    assert lease.asking is None
+    assert not lease.ask("b")
+    assert (lease.holder, lease.asking) == ("a", "b")
+    lease.release("b")  # which has nothing to give
+    assert lease.holder == "a"
+    lease.release("a")
+    assert (lease.holder, lease.asking) == ("b", None)
+    assert not lease.ask("a")
+    clock.now = 10
+    lease.keep("b")
+    clock.now = 16
+    # nobody asks any more
+    assert lease.asking is None
+    lease.release("b")
+    assert lease.holder is None
+    # one that asks, and takes what is free later, asks no more
+    assert lease.claim("a")
+    assert not lease.ask("b")
+    clock.now = 32
+    assert lease.claim("b")
+    assert lease.asking is None
+
+
+def test_the_one_in_control_sees_that_it_is_asked(address: str) -> None:
+    with browse(address, headers={"X-Client": "a"}) as first, browse(address, headers={"X-Client": "b"}) as second:
+        assert first.post("/api/operator").status_code == 200
+        assert first.get("/api/state").json()["asked"] is False
+        refused = second.post("/api/operator")
+        assert refused.status_code == 409
+        assert "asked to hand over" in refused.json()["error"]
+        assert [each.get("/api/state").json()["asked"] for each in (first, second)] == [True, False]
+        first.delete("/api/operator")
+        assert second.get("/api/state").json()["operator"] == "you"
+
+
 @pytest.mark.parametrize("given", [None, "wrong", TOKEN[:-1], TOKEN + "x", "ü" * 20])
 def test_a_wrong_token_opens_nothing(control: Control, given: str | None) -> None:
     headers = {} if given is None else {"Authorization": f"Bearer {given}".encode()}

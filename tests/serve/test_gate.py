@@ -236,13 +236,19 @@ def accepted_now(listener: Listener) -> Any:
         return None
 
 
+def listening(gate: Gate) -> Listener:
+    """A listener behind the gate, which does not block."""
+    listener = Listener(socket.AF_INET, socket.SOCK_STREAM)
+    listener.gate = gate
+    listener.bind(("127.0.0.1", 0))
+    listener.listen()
+    listener.setblocking(False)
+    return listener
+
+
 @pytest.mark.skipif(not hasattr(select, "epoll"), reason="needs epoll")
 def test_connections_wait_until_they_have_sent_a_head(gate: Gate) -> None:
-    with Listener(socket.AF_INET, socket.SOCK_STREAM) as listener:
-        listener.gate = gate
-        listener.bind(("127.0.0.1", 0))
-        listener.listen()
-        listener.setblocking(False)
+    with listening(gate) as listener:
         where = listener.getsockname()
         silent = [socket.create_connection(where) for _ in range(40)]
         left, speaker = socket.create_connection(where), socket.create_connection(where)
@@ -299,11 +305,7 @@ def test_who_comes_now_is_accepted_before_those_who_wait(gate: Gate) -> None:
 
 @pytest.mark.skipif(not hasattr(select, "epoll"), reason="needs epoll")
 def test_who_has_left_takes_no_place(gate: Gate) -> None:
-    with Listener(socket.AF_INET, socket.SOCK_STREAM) as listener:
-        listener.gate = gate
-        listener.bind(("127.0.0.1", 0))
-        listener.listen()
-        listener.setblocking(False)
+    with listening(gate) as listener:
         here = socket.create_connection(listener.getsockname())
         for _ in range(40):
             with socket.create_connection(listener.getsockname()) as one:

@@ -19,7 +19,7 @@ from psiamfcpp.video.source import open_source
 
 from . import test_page
 from .conftest import BLOB, HEIGHT, WIDTH, Stream, served, until
-from .test_page import LIVE, green, place, shown_at
+from .test_page import LIVE, drag, green, place, shown_at
 
 pytestmark = pytest.mark.slow
 visit = test_page.visit
@@ -32,15 +32,6 @@ def page(visit: Callable[..., Any], address: str) -> Any:
     opened = visit(address, 1280, 800)
     opened.wait_for_selector(LIVE)
     return opened
-
-
-def drag(page: Any, box: tuple[float, ...]) -> None:
-    x, y, w, h = box
-    page.mouse.move(*place(page, x, y))
-    page.mouse.down()
-    page.mouse.move(*place(page, x + w / 2, y + h / 3))
-    page.mouse.move(*place(page, x + w, y + h))
-    page.mouse.up()
 
 
 def targets(follower: Follower) -> list[int]:
@@ -238,19 +229,45 @@ def test_a_tap_on_nothing_says_so(page: Any, follower: Follower, monkeypatch: py
     assert targets(follower) == []
 
 
-def test_another_operator_is_shown_why_there_is_nothing_to_take(
-    page: Any, visit: Callable[..., Any], address: str
-) -> None:
+def test_another_viewer_asks_for_control_and_is_given_it(page: Any, visit: Callable[..., Any], address: str) -> None:
     page.click("#operator")
     page.wait_for_selector("#role:has-text('you control')")
     other = visit(address)
     other.wait_for_selector("#why:visible")
-    assert other.is_disabled("#operator")
     assert other.get_attribute("#operator", "aria-describedby") == "why"
     assert "when they hand over, or 15 s after they leave" in other.inner_text("#why")
-    page.click("#operator")
-    other.wait_for_selector("#operator:not([disabled])")
+    other.click("#operator:has-text('Ask for control')")
+    other.wait_for_selector("#banner:has-text('it was asked to hand over')")
+    page.wait_for_selector("#role:has-text('you are asked to hand over')")
+    page.wait_for_selector("#banner[role=status]:has-text('Another viewer asks for control')")
+    assert other.is_disabled("#stop")
+    page.keyboard.press("c")
+    other.wait_for_selector("#role:has-text('you control')")
     other.wait_for_selector("#why", state="hidden")
+    page.wait_for_selector("#role:has-text('another controls')")
+
+
+def test_a_sound_is_heard_when_a_target_is_lost_if_it_was_asked_for(
+    page: Any, follower: Follower, stream: Stream
+) -> None:
+    page.evaluate(
+        "() => { window.AudioContext = class { currentTime = 0; destination = {};"
+        " createGain() { return { gain: {}, connect: (to) => to }; }"
+        " createOscillator() { window.tones = (window.tones ?? 0) + 1;"
+        " return { frequency: { setValueAtTime() {} }, connect: (to) => to, start() {}, stop() {} }; } }; }"
+    )
+    follower.add(BLOB)
+    page.wait_for_selector("#targets .state.tracking")
+    page.click("#sound")
+    # once, so that the operator knows it and the browser allows it
+    assert page.get_attribute("#sound", "aria-pressed") == "true"
+    assert page.evaluate("window.tones") == 1
+    stream.blobs = [None]  # type: ignore[list-item]  # the ground alone
+    page.wait_for_selector("#targets .state.lost")
+    assert page.evaluate("window.tones") == 2
+    page.keyboard.press("m")
+    assert page.get_attribute("#sound", "aria-pressed") == "false"
+    assert page.evaluate("window.tones") == 2
 
 
 def test_figures_are_dashes_until_there_is_something_to_tell(page: Any, follower: Follower) -> None:

@@ -54,11 +54,12 @@ def place(page: Any, x: float, y: float) -> tuple[float, float]:
     return area["x"] + at["left"] + x * at["scale"], area["y"] + at["top"] + y * at["scale"]
 
 
-def draw(page: Any) -> None:
-    x, y, w, h = BLOB
+def drag(page: Any, box: tuple[float, ...] = BLOB) -> None:
+    """Draw a box with the mouse."""
+    x, y, w, h = box
     page.mouse.move(*place(page, x, y))
     page.mouse.down()
-    page.mouse.move(*place(page, x + w / 3, y + h / 2))
+    page.mouse.move(*place(page, x + w / 2, y + h / 3))
     page.mouse.move(*place(page, x + w, y + h))
     page.mouse.up()
 
@@ -78,7 +79,7 @@ def test_a_box_that_is_drawn_is_followed_and_stopped(
 ) -> None:
     page = visit(address)
     page.wait_for_selector(LIVE)
-    draw(page)
+    drag(page)
     page.wait_for_selector("#targets .state.tracking")
     assert follower.newest is not None
     assert centre_error(follower.newest.tracks[1].box, BLOB) < 2
@@ -109,15 +110,15 @@ def test_a_tap_on_a_phone_is_enough(visit: Callable[..., Any], address: str, fol
 def test_a_second_page_watches(visit: Callable[..., Any], address: str, follower: Follower) -> None:
     first = visit(address)
     first.wait_for_selector(LIVE)
-    draw(first)
+    drag(first)
     first.wait_for_selector("#targets .state.tracking")
     second = visit(address)
     second.wait_for_selector("#targets .state.tracking")
     assert second.inner_text("#role") == "another controls"
     assert second.is_disabled("#stop")
-    draw(second)
+    drag(second)
     first.click("#operator")
-    second.wait_for_selector("#operator:not([disabled])")
+    second.wait_for_selector("#operator:has-text('Take control')")
     assert follower.newest is not None
     assert list(follower.newest.tracks) == [1]
 
@@ -128,7 +129,7 @@ def test_a_server_that_was_away_is_found_again(visit: Callable[..., Any], contro
     with served(control, port) as address:
         page = visit(address)
         page.wait_for_selector(LIVE)
-        draw(page)
+        drag(page)
         page.wait_for_selector("#targets .state.tracking")
     page.wait_for_selector("#banner:visible")
     assert "No connection" in page.inner_text("#banner")

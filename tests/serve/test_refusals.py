@@ -213,6 +213,7 @@ def test_starts_over_rest_are_limited_too(http: httpx.Client, timeless: None) ->
     assert codes == [422] * 10 + [429] * 20
 
 
+@pytest.mark.slow
 def test_there_is_room_for_some_clients_only(address: str, http: httpx.Client) -> None:
     sockets = [live(address) for _ in range(MAX_CLIENTS)]
     try:

@@ -39,6 +39,7 @@ def test_with_model_files(shared_data: Path, blob_frame: Callable[..., Any]) -> 
     [
         ("TrackerNone", "OpenCV has no tracker 'none' here: there are .*mil"),
         ("opencv:none", "OpenCV has no tracker 'none' here: there are .*mil"),
+        ("opencv:KCF", "no tracker 'KCF' here: .*; it is in opencv-contrib-python-headless"),
         ("opencv:nano", "has options none: give opencv:nano,backbone=FILE,neckhead=FILE"),
         ("opencv:mil,depth=3", "has options depth: give opencv:mil$"),
         ("TrackerNano", r"has 0 model files: give TrackerNano=BACKBONE\.onnx,NECKHEAD\.onnx"),

@@ -31,6 +31,7 @@ def test_a_picture_comes_out(log: Path):
     assert sorted(p.name for p in log.parent.iterdir()) == ["curve.png", "log.jsonl"]
 
 
+@pytest.mark.slow
 def test_more_rows_give_another_picture(log: Path):
     one, two = log.with_name("one.png"), log.with_name("two.png")
     draw_curve(log, one)

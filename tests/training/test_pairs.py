@@ -261,6 +261,7 @@ def test_the_share_of_negative_pairs(scenes: list[Sequence]):
     assert absent / 250 == pytest.approx(0.3, abs=0.08)
 
 
+@pytest.mark.slow
 def test_negative_pairs_never_show_the_target(scenes: list[Sequence]):
     sampler = PairSampler(scenes, dataclasses.replace(PLAIN, negatives=1.0), cache_bytes=CACHE)
     absent = [pair for pair in map(sampler.pair, range(60)) if not pair.present]

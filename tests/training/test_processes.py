@@ -14,7 +14,8 @@ import torch
 
 from psiamfcpp.cli import main
 from psiamfcpp.models import SiamFCpp, load, save
-from psiamfcpp.spec import FULL_WIDTHS, ModelSpec
+from psiamfcpp.models.siamfcpp_alexnet import ARCHITECTURE
+from psiamfcpp.spec import ModelSpec
 
 DEADLINE = 900.0
 # The command, killed from within right after its first row of the log: from outside it may be over before it is hit.
@@ -37,7 +38,7 @@ def init(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("init") / "narrow.safetensors"
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(0)
-        save(path, SiamFCpp(ModelSpec(widths=dict.fromkeys(FULL_WIDTHS, 6))))
+        save(path, SiamFCpp(ModelSpec(widths=dict.fromkeys(ARCHITECTURE.groups, 6))))
     return path
 
 

@@ -15,7 +15,6 @@ from psiamfcpp.datasets import Sequence
 from psiamfcpp.errors import UserError
 from psiamfcpp.geometry import from_corners, overlap
 from psiamfcpp.models.network import cell_grid
-from psiamfcpp.spec import score_size
 from psiamfcpp.training.batches import numbered_batches
 from psiamfcpp.training.loop import train
 from psiamfcpp.training.options import PairOptions, TeacherOptions
@@ -65,8 +64,8 @@ def test_the_teachers_box_comes_back_in_pixels_of_the_search_crop(scenes: list[S
 def test_the_cell_with_the_highest_score_is_at_the_box(sampler: PairSampler):
     for pair in (sampler.pair(i) for i in range(12)):
         said = say(blob, pair)
-        on_ours = on_cells(torch.tensor(said.score)[None], torch.tensor(said.side)[None], 239, score_size(239))
-        best = cell_grid(239, score_size(239)).reshape(-1, 2)[on_ours.flatten().argmax()].numpy()
+        on_ours = on_cells(torch.tensor(said.score)[None], torch.tensor(said.side)[None], 239, 9)
+        best = cell_grid(239, 9).reshape(-1, 2)[on_ours.flatten().argmax()].numpy()
         assert best == pytest.approx((said.corners[:2] + said.corners[2:]) / 2, abs=8 + 4)
 
 

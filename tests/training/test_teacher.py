@@ -128,6 +128,7 @@ def taught(scenes: list[Sequence], tmp_path: Path) -> Any:
     return begin
 
 
+@pytest.mark.slow
 def test_a_run_with_a_teacher_resumes_to_the_bit(taught: Any, tmp_path: Path) -> None:
     list(taught(options(6), folder="straight"))
     killed = taught(options(6), save_every=3)
@@ -184,6 +185,7 @@ def test_the_total_holds_the_weighted_term(scenes: list[Sequence], tmp_path: Pat
     assert PairLoss(network().eval(), LossWeights())(batch).keys() == {*labels, "total"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kept", ["teacher", "nothing"])
 def test_runs_from_before_there_were_such_options_go_on(scenes: list[Sequence], tmp_path: Path, kept: str) -> None:
     chosen, folder = options(4), tmp_path / "run"

@@ -9,7 +9,8 @@ from torch import Tensor, nn
 from psiamfcpp.datasets import Sequence
 from psiamfcpp.models import SiamFCpp
 from psiamfcpp.models.network import cell_grid
-from psiamfcpp.spec import FULL_WIDTHS, ModelSpec
+from psiamfcpp.models.siamfcpp_alexnet import ARCHITECTURE
+from psiamfcpp.spec import ModelSpec
 from psiamfcpp.training.batches import Batch
 from psiamfcpp.training.options import PairOptions
 from psiamfcpp.training.validation import held_out_batches, pair_score
@@ -105,7 +106,7 @@ def test_separation_needs_negative_pairs():
 
 def test_every_module_gets_its_own_mode_back():
     """While training, the backbone's BatchNorm must keep its statistics, validation or not."""
-    network = SiamFCpp(ModelSpec(widths=dict.fromkeys(FULL_WIDTHS, 3), search_size=239)).train()
+    network = SiamFCpp(ModelSpec(widths=dict.fromkeys(ARCHITECTURE.groups, 3), search_size=239)).train()
     network.backbone.eval()
     before = {name: module.training for name, module in network.named_modules()}
     statistics = {name: value.clone() for name, value in network.named_buffers()}

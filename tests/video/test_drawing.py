@@ -67,7 +67,7 @@ def test_a_box_far_off_does_no_harm(box: Box) -> None:
     assert draw(black(), box, "lost").shape == (360, 640, 3)
 
 
-@settings(max_examples=40)
+@settings(max_examples=15)
 @given(st.integers(1, 300), st.integers(1, 300), st.text(max_size=30), st.tuples(*[st.floats(-400, 400)] * 4))
 def test_any_frame_and_label_can_be_drawn(width: int, height: int, label: str, box: Box) -> None:
     frame = black(width, height)

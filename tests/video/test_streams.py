@@ -111,6 +111,7 @@ def test_of_a_preview_and_its_video_the_larger_is_read(tmp_path: Path, preview_f
     assert numbers(path) == list(range(COUNT))
 
 
+@pytest.mark.slow
 def test_a_stream_that_is_cut_off_says_so(tmp_path: Path) -> None:
     path = tmp_path / "a.mkv"
     rng = np.random.default_rng(0)

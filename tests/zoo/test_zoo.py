@@ -65,7 +65,13 @@ def test_every_shipped_model_loads_is_small_and_has_a_card() -> None:
 
 def test_the_package_holds_the_pruned_graphs_and_the_weights_the_rest() -> None:
     own = {path.name for path in FOLDER.iterdir() if path.is_dir() and path.name != "__pycache__"}
-    assert own == {"plightfc-int8", "psiamfcpp-alexnet-int8", "psiamfcpp-alexnet-n-int8", "psiamfcpp-alexnet-s-int8"}
+    assert own == {
+        "plightfc-int8",
+        "plightfc-s-int8",
+        "psiamfcpp-alexnet-int8",
+        "psiamfcpp-alexnet-n-int8",
+        "psiamfcpp-alexnet-s-int8",
+    }
     assert set(zoo._ELSEWHERE) == {*zoo.names(), *zoo.graph_names()} - own
 
 
@@ -81,6 +87,7 @@ def test_no_card_is_left_without_its_model() -> None:
     assert {path.stem for path in FOLDER.glob("*.md")} <= set(zoo.names())
 
 
+@pytest.mark.slow
 def test_every_folder_of_graphs_is_of_a_shipped_model_and_small() -> None:
     assert zoo.DEFAULT_MODEL in {*zoo.names(), *zoo.graph_names()}
     for name in zoo.graph_names():
@@ -110,9 +117,9 @@ def test_a_folder_of_graphs_is_known_by_name_and_by_path(shelf: Path, tmp_path: 
 
 
 def test_the_default_is_a_pruned_network_in_eight_bits() -> None:
+    from psiamfcpp.models.siamfcpp_alexnet import ARCHITECTURE
     from psiamfcpp.runtime import open_engine
-    from psiamfcpp.spec import FULL_WIDTHS
 
     engine = open_engine(threads=1)
     assert engine.precision == "int8"
-    assert any(engine.spec.widths[name] < full for name, full in FULL_WIDTHS.items())
+    assert any(engine.spec.widths[name] < full for name, full in ARCHITECTURE.groups.items())

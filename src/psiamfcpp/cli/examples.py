@@ -44,7 +44,7 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
         "psiamfcpp import OFFICIAL.pkl -o official.safetensors",
         "psiamfcpp import TEMPLATE.onnx TRACK.onnx -o lightfc.safetensors",
     ),
-    "info": ("psiamfcpp info siamfcpp-alexnet",),
+    "info": ("psiamfcpp info siamfcpp-alexnet", "psiamfcpp info opencv:mil"),
 }
 
 

@@ -8,8 +8,9 @@ import tyro
 
 from psiamfcpp.cli.arguments import Output, Overwrite
 from psiamfcpp.cli.output import check_new
-from psiamfcpp.errors import UserError
 from psiamfcpp.files import check_outputs
+from psiamfcpp.models.cost import facts
+from psiamfcpp.recipes.importing import import_model
 
 
 def import_(checkpoint: tyro.conf.Positional[tuple[Path, ...]], output: Output, overwrite: Overwrite = False) -> None:
@@ -21,18 +22,5 @@ def import_(checkpoint: tyro.conf.Positional[tuple[Path, ...]], output: Output, 
     """
     check_outputs([output], checkpoint)
     check_new([output], overwrite)
-    from psiamfcpp.models import save
-    from psiamfcpp.models.cost import count_parameters
-    from psiamfcpp.models.network import Network
-    from psiamfcpp.models.official import import_official
-
-    if len(checkpoint) == 2:
-        from psiamfcpp.models.lightfc_import import import_lightfc
-
-        model: Network = import_lightfc(*checkpoint)
-    elif len(checkpoint) == 1:
-        model = import_official(*checkpoint)
-    else:
-        raise UserError(f"{len(checkpoint)} files to import: give one checkpoint of SiamFC++, or LightFC's two graphs")
-    save(output, model)
-    print(f"{count_parameters(model):,} parameters written to {output}")
+    network = import_model(checkpoint, output)
+    print(f"{facts(network.spec)['parameters']:,} parameters written to {output}")

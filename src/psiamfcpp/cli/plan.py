@@ -42,8 +42,8 @@ def plan(
 
     Args:
         source: table that `psiamfcpp rank` wrote, .json; or the model, to score its filters by another criterion.
-        criterion: rank, norm, median, taylor, random, refit, or MODULE:FUNCTION, a function
-            f(group, context) -> scores (n,).
+        criterion: rank (the paper's), norm, median, taylor, random, refit (which changes least before fine-tuning), or
+            MODULE:FUNCTION, a function f(group, context) -> scores (n,).
         ranks: with a model: its rank table, for the criterion rank.
         data: with a model: sets to run the training loss on, for the criterion taylor, or to draw crops from, for
             refit; each LAYOUT:FOLDER.
@@ -63,23 +63,18 @@ def plan(
         search_size: side of the search crop to count and to time at; that of the model by default.
         output: plan to write, .json.
     """
-    from psiamfcpp.pruning.table import RankTable
     from psiamfcpp.recipes import plan as recipe
-    from psiamfcpp.recipes.scoring import score_model
 
     check_outputs([output], [source, ranks])
     check_new([output], overwrite)
-    if not source.endswith(".json"):
-        table = score_model(source, criterion, ranks=ranks, data=data, images=images, held_out_every=held_out_every)
-    elif criterion != "rank" or ranks or data:
-        raise UserError(
-            f"{source} is a rank table, which needs no --criterion, --ranks or --data: give the model instead"
-        )
-    else:
-        table = RankTable.read(Path(source))
     with watching() as watch:
         done = recipe.plan(
-            table,
+            source,
+            criterion=criterion,
+            ranks=ranks,
+            data=data,
+            images=images,
+            held_out_every=held_out_every,
             preset=preset,
             keep=_parse("keep", "SHARE", keep),
             remove=remove,

@@ -7,7 +7,6 @@ from typing import Any
 
 from psiamfcpp.cli.arguments import Output, SkipBad
 from psiamfcpp.cli.output import notes
-from psiamfcpp.datasets.choice import DataChoice
 from psiamfcpp.recipes.train import train as run_training
 from psiamfcpp.training.options import RunOptions, TrainOptions
 from psiamfcpp.watch import Watch
@@ -39,12 +38,14 @@ def train(
     steps = options.schedule.steps
     try:
         run_training(
-            DataChoice(data, held_out_every, skip_bad),
+            data,
             init,
             output,
-            options,
-            run,
-            note,
+            options=options,
+            run=run,
+            held_out_every=held_out_every,
+            note=note,
+            skip_bad=skip_bad,
             on_row=lambda row: notes.print(_line(row, steps)),
             watch=Watch(notes.print),
         )

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from psiamfcpp.datasets.boxes import find_files, read_boxes
-from psiamfcpp.datasets.sequence import LeftOut, Sequence, each, labelled, require
-from psiamfcpp.images import image_files
+from psiamfcpp.datasets.boxes import find_files
+from psiamfcpp.datasets.sequence import LeftOut, Sequence, labelled_by
 
 LAYOUT = "<root>/<sequence>/img/*.jpg and <root>/<sequence>/groundtruth_rect.txt (x,y,w,h per frame)"
 
@@ -22,9 +21,4 @@ def read(root: Path, left_out: LeftOut = None) -> list[Sequence]:
     Raises:
         UserError: a file is missing or unreadable, or the frames and boxes differ in number.
     """
-
-    def one(item: tuple[str, Path]) -> Sequence:
-        name, truth = item
-        return labelled(name, image_files(require(truth.parent / "img", LAYOUT).iterdir()), read_boxes(truth), "dtb70")
-
-    return each(label_files(root).items(), one, left_out)
+    return labelled_by(label_files(root), lambda _, truth: truth.parent / "img", LAYOUT, "dtb70", left_out)

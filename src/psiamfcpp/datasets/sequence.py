@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from collections.abc import Sequence as Frames
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,11 +12,12 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from psiamfcpp.datasets.boxes import read_boxes
 from psiamfcpp.datasets.frames import Frame, read_frame
 from psiamfcpp.errors import UserError
 from psiamfcpp.files import reading
 from psiamfcpp.geometry import FloatArray, Image
-from psiamfcpp.images import ImageReader
+from psiamfcpp.images import ImageReader, image_files
 
 Item = TypeVar("Item")
 LeftOut = list[str] | None
@@ -163,3 +164,26 @@ def labelled(name: str, frames: Frames[Frame], boxes: FloatArray, source: str) -
     """
     matched(name, frames, {"boxes": len(boxes)})
     return Sequence(name, frames, boxes, source)
+
+
+def labelled_by(
+    files: Mapping[str, Path], folder: Callable[[str, Path], Path], layout: str, source: str, left_out: LeftOut
+) -> list[Sequence]:
+    """Sequences of one label file and one folder of images each, labels as published.
+
+    Args:
+        files: label file of each sequence, by name.
+        folder: the folder of images, from a sequence's name and label file.
+        layout: the expected layout, shown when a folder is missing.
+        source: the collection.
+        left_out: see `LeftOut`.
+
+    Raises:
+        UserError: a file is missing or unreadable, or the frames and boxes differ in number.
+    """
+
+    def one(item: tuple[str, Path]) -> Sequence:
+        images = image_files(require(folder(*item), layout).iterdir())
+        return labelled(item[0], images, read_boxes(item[1]), source)
+
+    return each(files.items(), one, left_out)

@@ -128,7 +128,6 @@ def _published_ranges(root: Path, frames: str) -> dict[str, list[_Range]]:
     ranges: dict[str, list[_Range]] = {}
     for path in sorted([*root.glob("configSeqs.m"), *root.glob("*/configSeqs.m")])[:1]:
         # The comments of MATLAB users are seldom UTF-8.
-        # the comments of MATLAB users are seldom UTF-8
         for found in _STRUCT.finditer(read_bytes(path, "configuration", "fetch it again", 2**24).decode("latin-1")):
             *above, folder = re.split(r"[\\/]+", found["path"].strip("\\/"))
             if not above or above[-1] == frames:

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from psiamfcpp.datasets.boxes import find_files, read_boxes
-from psiamfcpp.datasets.sequence import LeftOut, Sequence, each, labelled, require
-from psiamfcpp.images import image_files
+from psiamfcpp.datasets.boxes import find_files
+from psiamfcpp.datasets.sequence import LeftOut, Sequence, labelled_by
 
 LAYOUT = "<root>/sequences/<sequence>/img000001.jpg and <root>/anno/<sequence>_gt.txt (x,y,w,h per frame)"
 
@@ -24,10 +23,4 @@ def read(root: Path, left_out: LeftOut = None) -> list[Sequence]:
     Raises:
         UserError: a file is missing or unreadable, or the frames and boxes differ in number.
     """
-
-    def one(item: tuple[str, Path]) -> Sequence:
-        name, truth = item
-        frames = require(root / "sequences" / name, LAYOUT)
-        return labelled(name, image_files(frames.iterdir()), read_boxes(truth), "uavdt")
-
-    return each(label_files(root).items(), one, left_out)
+    return labelled_by(label_files(root), lambda name, _: root / "sequences" / name, LAYOUT, "uavdt", left_out)

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Mapping
 
 import numpy as np
 
-from psiamfcpp.export.layers import Float32Array, Layer
+from psiamfcpp.export.layers import Float32Array
 from psiamfcpp.models.arch import Architecture
 
 # A channel whose range is smaller than this share of the largest is treated as if it had this one: on other crops it
@@ -36,15 +35,3 @@ def factors(arch: Architecture, peaks: Mapping[str, Float32Array]) -> dict[str, 
             own = peaks[row.name]
             found[row.name] = np.maximum(own / max(own.max(), 1e-6), _SMALLEST).astype(np.float32)
     return found
-
-
-def divided(layers: Mapping[str, Layer], factors: Mapping[str, Float32Array], arch: Architecture) -> dict[str, Layer]:
-    """Return the same function, with the channels of maps divided by what `factors` gives."""
-    changed = dict(layers)
-    for name, factor in factors.items():
-        own = changed[name]
-        changed[name] = dataclasses.replace(own, gain=own.gain / factor, bias=own.bias / factor)
-        for reader in (row.name for row in arch.layers if name in row.reads):
-            weight = changed[reader].weight * factor[:, None, None, None]
-            changed[reader] = dataclasses.replace(changed[reader], weight=weight)
-    return changed

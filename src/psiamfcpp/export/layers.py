@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -49,15 +49,19 @@ def folded(model: Network) -> dict[str, Layer]:
     return found
 
 
-def divided(some: Mapping[str, Layer], factors: Mapping[str, Float32Array], arch: Architecture) -> dict[str, Layer]:
+def divided(
+    some: Mapping[str, Layer], factors: Mapping[str, Float32Array], readers: Mapping[str, Iterable[str]]
+) -> dict[str, Layer]:
     """Return the same function, with layers' outputs divided by factors ``(C,)`` that their readers multiply by."""
     changed = dict(some)
     for name, factor in factors.items():
         own = changed[name]
         changed[name] = dataclasses.replace(own, gain=own.gain / factor, bias=own.bias / factor)
-        for reader in arch.readers[name]:
-            weight = changed[reader].weight * factor[:, None, None]
-            changed[reader] = dataclasses.replace(changed[reader], weight=weight)
+        for reader in readers[name]:
+            weight = changed[reader].weight
+            # A depthwise layer has one filter per channel, any other a plane of each filter.
+            shape = (-1, 1, 1, 1) if weight.shape[1] == 1 else (-1, 1, 1)
+            changed[reader] = dataclasses.replace(changed[reader], weight=weight * factor.reshape(shape))
     return changed
 
 

@@ -10,8 +10,7 @@ import onnx
 from onnx import TensorProto, helper
 
 from psiamfcpp.export.builder import Builder, Ranges, two_by_two
-from psiamfcpp.export.equalize import divided
-from psiamfcpp.export.layers import Layer, folded
+from psiamfcpp.export.layers import Layer, divided, folded
 from psiamfcpp.export.rows import append, filled_up, within
 from psiamfcpp.models import arch
 from psiamfcpp.models.arch import PIXELS
@@ -44,7 +43,8 @@ def template_graph(spec: ModelSpec, layers: Mapping[str, Layer], ranges: Ranges)
 
 def search_graph(spec: ModelSpec, layers: Mapping[str, Layer], ranges: Ranges) -> onnx.ModelProto:
     """The graph ``crop (1, S, S, 3) uint8 BGR, kernel -> scores (1, N, N), boxes (1, N, N, 4)``; S is free."""
-    graph = Builder(divided(layers, ranges.factors, spec.arch), ranges)
+    readers = {name: [row.name for row in spec.arch.layers if name in row.reads] for name in ranges.factors}
+    graph = Builder(divided(layers, ranges.factors, readers), ranges)
     maps = _append(graph, spec.arch.layers)
     score, size = (within(graph, maps[f"head.{name}"], MARGIN, 1 - MARGIN) for name in ("score", "size"))
     scores = graph.add("Squeeze", score, graph.constant(np.array([1])))

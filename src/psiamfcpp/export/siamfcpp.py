@@ -16,7 +16,7 @@ from psiamfcpp.export.layers import Layer, divided, filled_up, folded
 from psiamfcpp.models import arch
 from psiamfcpp.models.arch import by_depth, walk
 from psiamfcpp.models.network import SiamFCpp
-from psiamfcpp.spec import STRIDE, ModelSpec
+from psiamfcpp.spec import ModelSpec
 
 # Step and zero of 8 bits that hold -1 to 1.
 _EVEN = np.float32(1 / 127), 128
@@ -55,13 +55,13 @@ def search_graph(spec: ModelSpec, layers: Mapping[str, Layer], ranges: Ranges) -
 
     Boxes are x0, y0, x1, y1 in pixels of the crop; S is free.
     """
-    graph = Builder(divided(layers, ranges.factors, spec.arch), ranges)
+    graph = Builder(divided(layers, ranges.factors, spec.arch.readers), ranges)
     cls, reg = _correlation(graph, spec)
     hidden = by_depth(row for row in spec.arch.part("head") if row.group)
     maps = walk(hidden, {"cls": cls, "reg": reg}, graph.layer)
     both = graph.add("Sigmoid", graph.conv("head.scores", maps["head.cls3"], relu=False))
     scores = graph.add("ReduceProd", both, axes=[1], keepdims=0)
-    boxes = _boxes(graph, scores, graph.conv("head.reg_offsets", maps["head.reg3"], relu=False))
+    boxes = _boxes(graph, spec.arch.stride, scores, graph.conv("head.reg_offsets", maps["head.reg3"], relu=False))
     inputs = [helper.make_tensor_value_info("crop", TensorProto.UINT8, [1, "size", "size", 3])]
     for branch in ("cls", "reg"):
         shape = [1, spec.widths[f"neck.{branch}"], _kernel(spec), _kernel(spec)]
@@ -161,12 +161,12 @@ def _integer_correlation(
     return graph.to_uint8(x, *_EVEN)
 
 
-def _boxes(graph: Builder, scores: str, logs: str) -> str:
-    """Boxes ``(1, N, N, 4)`` from the logarithms of distances ``(1, 4, N, N)`` in strides."""
+def _boxes(graph: Builder, pixels: int, scores: str, logs: str) -> str:
+    """Boxes ``(1, N, N, 4)`` from the logarithms of distances ``(1, 4, N, N)`` in strides of some pixels."""
     cells = graph.add("Shape", scores, start=1, end=2)
     size = graph.add("Shape", "crop", start=1, end=2)
-    one, two, stride = (graph.constant(np.array([v])) for v in (1, 2, STRIDE))
-    # first = (size - 1 - (cells - 1) * stride) // 2, as `psiamfcpp.spec.first_cell`
+    one, two, stride = (graph.constant(np.array([v])) for v in (1, 2, pixels))
+    # first = (size - 1 - (cells - 1) * stride) // 2, as `psiamfcpp.models.arch.Architecture.first_cell`
     span = graph.add("Mul", graph.add("Sub", cells, one), stride)
     first = graph.add("Div", graph.add("Sub", graph.add("Sub", size, one), span), two)
     zero = graph.constant(np.array(0))
@@ -181,5 +181,5 @@ def _boxes(graph: Builder, scores: str, logs: str) -> str:
     grid = graph.add("Add", graph.add("Mul", along, is_x), graph.add("Mul", down, is_y))
     logs = graph.add("Transpose", logs, perm=[0, 2, 3, 1])
     strides = graph.add("Exp", graph.add("Min", logs, graph.constant(np.array(_MAX_LOG, np.float32))))
-    outward = graph.constant(np.array([-STRIDE, -STRIDE, STRIDE, STRIDE], np.float32))
+    outward = graph.constant(np.array([-pixels, -pixels, pixels, pixels], np.float32))
     return graph.add("Add", grid, graph.add("Mul", strides, outward))

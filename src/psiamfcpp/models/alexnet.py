@@ -75,7 +75,7 @@ def init_backbone(model: SiamFCpp, path: Path, seed: int = 0) -> None:
             raise UserError(f"{name} of {path} holds values that are no finite numbers: fetch the file again")
         weight, bias, inputs = weight.float(), bias.float(), published
         if name == "conv1":
-            weight, bias = _fold_preprocessing(weight, bias)
+            weight, bias = fold_preprocessing(weight, bias)
         weight = weight[:, sources] * shares[None, :, None, None]
         sources, shares = _widen(len(weight), block.conv.out_channels, generator)
         weight, bias = weight[sources], bias[sources].clone()
@@ -88,8 +88,8 @@ def init_backbone(model: SiamFCpp, path: Path, seed: int = 0) -> None:
             block.conv.bias.copy_(bias)
 
 
-def _fold_preprocessing(weight: Tensor, bias: Tensor) -> tuple[Tensor, Tensor]:
-    """conv1 for BGR 0..255 from one for normalised RGB."""
+def fold_preprocessing(weight: Tensor, bias: Tensor) -> tuple[Tensor, Tensor]:
+    """Return weight and bias of a first layer for BGR, 0..255, from those for RGB as torchvision normalises it."""
     bias = bias - (weight * (_MEAN / _STD)[None, :, None, None]).sum(dim=(1, 2, 3))
     return (weight / (255 * _STD)[None, :, None, None]).flip(1), bias
 

@@ -1,7 +1,7 @@
 """Architectures as tables of layers, from which every size, cost, group and graph is derived; torch is not needed.
 
-An architecture is one module with a table, named in `ARCHITECTURES`. The table says which files build its network and
-its graphs; no other file names a layer.
+An architecture is one module with a table, named in `ARCHITECTURES`; a module of yours may add itself there
+(docs/own-network.md). The table says which files build its network and its graphs; no other file names a layer.
 """
 
 from __future__ import annotations
@@ -181,6 +181,8 @@ class Architecture:
     edge: float = 1.0
     """pixels that the sides of crop and square count less: 1 where the middles of their corner pixels coincide, 0 where
     their edges do"""
+    scalars: int = 0
+    """trainable values that belong to no layer"""
     presets: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     """by name: share KEPT of each group"""
     rates: tuple[tuple[str, float], ...] = ()
@@ -283,11 +285,8 @@ class Architecture:
         if name == PIXELS:
             return crop
         layer = self[name]
-        side = self._before_pool(layer, crop, template_size or self.template_size)
+        side = _before_pool(self, layer, crop, template_size or self.template_size)
         return side if layer.pool is None else -((layer.pool[0] - side) // layer.pool[1]) + 1
-
-    def _before_pool(self, layer: Layer, crop: int, template_size: int) -> int:
-        return OPERATIONS[layer.operation].side(layer, _sides_read(self, layer, crop, template_size))
 
     def macs(self, widths: Mapping[str, int], search_size: int) -> int:
         """Multiply-accumulates of one search crop: convolutions and correlations."""
@@ -296,6 +295,17 @@ class Architecture:
             read = [self.width(name, widths) for name in layer.reads]
             macs += OPERATIONS[layer.operation].macs(layer, sides, read, side, self.width(layer.name, widths))
         return macs
+
+    def parameters(self, widths: Mapping[str, int]) -> int:
+        """Number of trainable values: weights, a bias per filter, and scale and shift of each BatchNorm."""
+        count = self.scalars
+        for layer in self.layers:
+            if _weighted(layer):
+                width, read = self.width(layer.name, widths), [self.width(name, widths) for name in layer.reads]
+                # the weights are what one cell of the map multiplies by
+                weights = OPERATIONS[layer.operation].macs(layer, [], read, 1, width)
+                count += weights + width * (3 if layer.bn else 1)
+        return count
 
     def feature_size(self, side: int) -> int:
         """Side of the backbone's map for a crop of ``side`` pixels."""
@@ -314,12 +324,21 @@ class Architecture:
             raise UserError(f"search size {search_size} is not {size} plus a multiple of {self.stride}: {hint}")
         for layer, crop in itertools.product(self.layers, (size, search_size)):
             # Rounded, the grid of a pool would lie half a cell off, and graphs and network would differ.
-            if layer.pool and (self._before_pool(layer, crop, size) - layer.pool[0]) % layer.pool[1]:
+            if layer.pool and (_before_pool(self, layer, crop, size) - layer.pool[0]) % layer.pool[1]:
                 raise UserError(f"crops of {crop} pixels leave a rest in the pool of {layer.name}: {hint}")
         cells = self.side(self.outputs[0].name, search_size, size)
         if cells < 3:
             raise UserError(f"search size {search_size} leaves a score map of {cells} cells: {hint}")
         return cells
+
+    def first_cell(self, search_size: int, cells: int | None = None) -> int:
+        """Pixel of the search crop, in x and in y, at which cell 0 of the score map stands: 87 for SiamFC++.
+
+        Args:
+            search_size: side of the search crop, pixels.
+            cells: side of the score map; by default the architecture's.
+        """
+        return (search_size - 1 - ((cells or self.score_size(search_size)) - 1) * self.stride) // 2
 
     def exported(self, name: str) -> str:
         """Name of a layer in exported graphs."""
@@ -344,11 +363,19 @@ def _weighted(layer: Layer) -> bool:
 @functools.lru_cache(maxsize=64)
 def _searched(arch: Architecture, search_size: int) -> list[tuple[Layer, list[int], int]]:
     """Layers of the search pass, with the sides of what they read and of their maps before the pool."""
-    rows = [layer for layer in arch.layers if "search" in arch.views[layer.name]]
-    read = [_sides_read(arch, layer, search_size, arch.template_size) for layer in rows]
+    size = arch.template_size
     return [
-        (layer, sides, OPERATIONS[layer.operation].side(layer, sides)) for layer, sides in zip(rows, read, strict=True)
+        (layer, _sides_read(arch, layer, search_size, size), _before_pool(arch, layer, search_size, size))
+        for layer in arch.layers
+        if "search" in arch.views[layer.name]
     ]
+
+
+# Kept, since every sum on the way would double the work.
+@functools.lru_cache(maxsize=4096)
+def _before_pool(arch: Architecture, layer: Layer, crop: int, template_size: int) -> int:
+    """Side of a layer's map before its pool."""
+    return OPERATIONS[layer.operation].side(layer, _sides_read(arch, layer, crop, template_size))
 
 
 def _sides_read(arch: Architecture, layer: Layer, crop: int, template_size: int) -> list[int]:
@@ -364,7 +391,8 @@ def architecture(name: str) -> Architecture:
         UserError: there is none of that name; the known ones are listed.
     """
     if name not in ARCHITECTURES:
-        raise UserError(f"unknown architecture {name!r}: known are {', '.join(ARCHITECTURES)}")
+        known = ", ".join(ARCHITECTURES)
+        raise UserError(f"unknown architecture {name!r}: known are {known}; import the module that adds it first")
     found: Architecture = importlib.import_module(ARCHITECTURES[name]).ARCHITECTURE
     return found
 

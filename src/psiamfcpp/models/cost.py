@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from torch import device, nn
-
-from psiamfcpp.models.checkpoint import build
 from psiamfcpp.spec import ModelSpec
+
+if TYPE_CHECKING:
+    from torch import nn
 
 
 def count_parameters(model: nn.Module) -> int:
@@ -21,7 +21,6 @@ def search_macs(spec: ModelSpec) -> int:
 
 
 def facts(spec: ModelSpec) -> dict[str, Any]:
-    """Return ``parameters``, ``gmacs`` of a search crop, and ``widths`` of the network of a spec."""
-    with device("meta"):
-        parameters = count_parameters(build(spec))
+    """Return ``parameters``, ``gmacs`` of a search crop, and ``widths`` of the network of a spec, from it alone."""
+    parameters = spec.arch.parameters(spec.widths)
     return {"parameters": parameters, "gmacs": search_macs(spec) / 1e9, "widths": dict(spec.widths)}

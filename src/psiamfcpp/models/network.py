@@ -11,7 +11,8 @@ from torch import Tensor, nn
 from torch.nn.utils.fusion import fuse_conv_bn_weights
 
 from psiamfcpp.models.arch import OPERATIONS, PIXELS, Layer, by_depth, walk
-from psiamfcpp.spec import STRIDE, ModelSpec, first_cell
+from psiamfcpp.models.siamfcpp_alexnet import ARCHITECTURE
+from psiamfcpp.spec import ModelSpec
 
 Kernels = tuple[Tensor, Tensor]
 Maps = tuple[Tensor, Tensor, Tensor]
@@ -113,6 +114,7 @@ class Head(Part):
 
     def __init__(self, spec: ModelSpec):
         super().__init__("head", spec)
+        self._stride = spec.arch.stride
         self.si = nn.Parameter(torch.tensor(1.0))
         self.bi = nn.Parameter(torch.tensor(0.0))
 
@@ -121,7 +123,7 @@ class Head(Part):
         maps = self.walk({"cls": cls, "reg": reg})
         offsets = maps["head.reg_offsets"].float().permute(0, 2, 3, 1)
         # The clamp only stops bfloat16 or a foreign frame from overflowing: e^6 * 8 px is beyond any crop.
-        distances = torch.exp(torch.clamp(self.si * offsets + self.bi, max=6.0)) * STRIDE
+        distances = torch.exp(torch.clamp(self.si * offsets + self.bi, max=6.0)) * self._stride
         return maps["head.cls_score"].float().squeeze(1), maps["head.centerness"].float().squeeze(1), distances
 
 
@@ -252,7 +254,8 @@ def _channel_by_channel(maps: Tensor, kernels: Tensor, padding: Sequence[int] = 
 
 def cell_grid(search_size: int, cells: int, device: torch.device | None = None) -> Tensor:
     """Pixel ``(x, y)`` of the crop at which each cell of the score map stands: ``(N, N, 2)``, row by row."""
-    line = first_cell(search_size, cells) + STRIDE * torch.arange(cells, device=device, dtype=torch.float32)
+    steps = ARCHITECTURE.stride * torch.arange(cells, device=device, dtype=torch.float32)
+    line = ARCHITECTURE.first_cell(search_size, cells) + steps
     y, x = torch.meshgrid(line, line, indexing="ij")
     return torch.stack([x, y], dim=-1)
 

@@ -58,6 +58,7 @@ ARCHITECTURE = Architecture(
     search_size=303,
     sizes=(239, 303),
     stride=8,
+    scalars=2,  # the head's si and bi, which map its outputs to distances
     presets={"paper": PAPER_KEEP},
     rates=(
         # It multiplies grey levels of 0..255, so its weights, and the steps that suit them, are smaller.

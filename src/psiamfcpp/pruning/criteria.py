@@ -187,8 +187,15 @@ def _importance(name: str, group: Group, context: Context) -> FloatArray:
     """What one of torch-pruning's measures gives for a group."""
     from torch_pruning.pruner import importance
 
-    values: FloatArray = getattr(importance, name)()(_tied(group, context)).double().cpu().numpy()
+    measure = getattr(importance, name)(normalizer=_over_mean)
+    values: FloatArray = measure(_tied(group, context)).double().cpu().numpy()
     return values
+
+
+def _over_mean(values: Tensor) -> Tensor:
+    """Return values over their mean; zeros, as of a group that the loss does not depend on, stay zeros."""
+    mean = values.mean()
+    return values if mean == 0 else values / mean
 
 
 def _readers(group: Group, context: Context, positions: int) -> dict[str, dict[int, int]]:

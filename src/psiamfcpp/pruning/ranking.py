@@ -11,12 +11,20 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
+from torch.overrides import TorchFunctionMode
 
 from psiamfcpp.errors import UserError
 from psiamfcpp.geometry import FloatArray
 from psiamfcpp.pruning.groups import Group, convolution_of, find_groups
 from psiamfcpp.pruning.table import GroupRanks, RankTable, View
 
+# What a convolution's map goes through before it counts as the filter's, as `torch.nn.functional` or torch calls it.
+_CALLED = """
+batch_norm instance_norm _threshold celu celu_ clamp clamp_ elu elu_ gelu hardshrink hardsigmoid hardswish hardtanh
+hardtanh_ leaky_relu leaky_relu_ log_sigmoid mish prelu relu relu6 relu_ rrelu rrelu_ selu selu_ sigmoid sigmoid_ silu
+softplus softshrink softsign tanh tanh_ tanhshrink threshold
+"""
+_FOLLOWERS = frozenset(_CALLED.split())
 TOLERANCE = "singular values above max(height, width) * 2**-23 * the map's largest, in float32"
 
 
@@ -33,8 +41,8 @@ class Looked:
 def rank(model: nn.Module, batches: Iterable[Any], groups: Mapping[str, Group] | None = None) -> RankTable:
     """Average rank of each filter's map over images.
 
-    A filter's map is the output of its convolution after the BatchNorm and activation modules that read it at
-    once. Ranks are counted as NumPy's ``matrix_rank`` counts them: see `TOLERANCE`.
+    A filter's map is the output of its convolution after the BatchNorm and activation that read it at once, be they
+    modules or functions such as ``F.relu``. Ranks are counted as NumPy's ``matrix_rank`` counts them: see `TOLERANCE`.
 
     Args:
         model: any network with convolutions; it is put into evaluation mode for this and back.
@@ -136,46 +144,48 @@ def _looked(name: str, maps: list[Tensor]) -> Looked:
     return Looked(ranks, tuple(min(m.shape[-2:]) for m in maps))
 
 
+class _Followers(TorchFunctionMode):
+    """Keep, of each map, what the functions of `_FOLLOWERS` make of it, called by a module or by the network itself."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        # By identity of a map: the map with its version when made, the list of its group, and its place there.
+        self.latest: dict[int, tuple[Tensor, int, list[Tensor], int]] = {}
+
+    def keep(self, output: Tensor, held: list[Tensor], place: int) -> None:
+        """Put a copy of a map into its place, because a network may write into its maps afterwards."""
+        held[place:] = [output.detach().clone(), *held[place + 1 :]]
+        self.latest[id(output)] = (output, output._version, held, place)
+
+    def __torch_function__(self, func: Any, types: Any, args: tuple[Any, ...] = (), kwargs: Any = None) -> Any:
+        """Call a function of torch, and keep its output where it follows a map that is as it was made."""
+        found = self.latest.get(id(args[0])) if args and getattr(func, "__name__", "") in _FOLLOWERS else None
+        follows = found and found[0] is args[0] and found[1] == args[0]._version
+        output = func(*args, **(kwargs or {}))
+        if found and follows:
+            self.keep(output, *found[2:])
+        return output
+
+
 @contextlib.contextmanager
 def _watch(model: nn.Module, blocks: Mapping[str, str]) -> Iterator[dict[str, list[Tensor]]]:
-    """Collects the maps of each group while the network runs.
-
-    A block's output is followed through the BatchNorm and activation modules that read it unchanged. Copies are
-    kept, because a network may write into its maps afterwards.
-    """
+    """Collect the maps of each group while the network runs, after the BatchNorm and activation that follow."""
     maps: dict[str, list[Tensor]] = {name: [] for name in blocks.values()}
-    # By identity of a block's latest output: the output with its version when made, and where its copy lies.
-    latest: dict[int, tuple[Tensor, int, list[Tensor], int]] = {}
-    taken: dict[nn.Module, tuple[list[Tensor], int]] = {}
-
-    def keep(output: Tensor, held: list[Tensor], place: int) -> None:
-        held[place:] = [output.detach().clone(), *held[place + 1 :]]
-        latest[id(output)] = (output, output._version, held, place)
+    followers = _Followers()
 
     def block_done(name: str, output: Any) -> None:
         if not isinstance(output, Tensor) or output.ndim != 4:
             raise UserError(f"{name} does not give maps (batch, filters, height, width): leave it out")
-        keep(output, maps[name], len(maps[name]))
-
-    def follower_starts(module: nn.Module, args: tuple[Any, ...]) -> None:
-        found = latest.get(id(args[0])) if args else None
-        if found and found[0] is args[0] and found[1] == args[0]._version:
-            taken[module] = found[2:]
-
-    def follower_done(module: nn.Module, _args: tuple[Any, ...], output: Tensor) -> None:
-        if module in taken:
-            keep(output, *taken.pop(module))
+        followers.keep(output, maps[name], len(maps[name]))
 
     hooks = []
     for block, name in blocks.items():
         convolution_of(model, block)
         module = model.get_submodule(block)
         hooks.append(module.register_forward_hook(lambda _m, _a, output, name=name: block_done(name, output)))
-    for module in model.modules():
-        if isinstance(module, nn.modules.batchnorm._NormBase) or type(module).__module__.endswith(".activation"):
-            hooks += [module.register_forward_pre_hook(follower_starts), module.register_forward_hook(follower_done)]
     try:
-        yield maps
+        with followers:
+            yield maps
     finally:
         for hook in hooks:
             hook.remove()

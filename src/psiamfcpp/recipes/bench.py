@@ -60,7 +60,7 @@ def bench(
     threads: int | None = None,
     rounds: int = 5,
     frames: int = 30,
-    sequence: Path | None = None,
+    sequence: str | Path | None = None,
     trackers: Sequence[str] = ("opencv:mil",),
     watch: Watch = QUIET,
 ) -> BenchResult:
@@ -84,10 +84,11 @@ def bench(
     """
     _check(engines, devices, threads, rounds, frames)
     threads = threads or usable_cores()
-    shots, box = _shots(sequence, frames)
     others = [choose(entry, TrackerOptions(threads=threads)) for entry in trackers]
     candidates = _ours(models, engines, devices, threads, watch)
     candidates += [speed.Candidate(choice.name, choice.open(), choice.kind) for choice in others]
+    # Not before all could be opened: rendering takes seconds.
+    shots, box = _shots(sequence, frames)
     cv2.setNumThreads(threads)
     measured = speed.Bench([speed.Timing(candidate) for candidate in candidates])
     for _ in watch.track(speed.run(measured, shots, box, rounds), "timings", rounds * len(candidates)):
@@ -166,11 +167,11 @@ def _wanted(models: Sequence[str], engines: Sequence[str], devices: Sequence[str
     yield from (triple for triple in wanted if triple != BASELINE)
 
 
-def _shots(sequence: Path | None, frames: int) -> tuple[list[Image], Box]:
+def _shots(sequence: str | Path | None, frames: int) -> tuple[list[Image], Box]:
     if sequence is None:
         clip = list(render(0, frames + 1))
         return [shot.image for shot in clip], clip[0].box
-    found = folder.read(sequence)[0]
+    found = folder.read(Path(sequence))[0]
     if len(found) <= frames:
         raise UserError(f"{sequence} holds {len(found)} frames: --frames {frames} needs one more than that")
     x, y, w, h = (float(v) for v in found.boxes[0])

@@ -32,8 +32,8 @@ class Calibrated:
 
 def calibrate(
     model: str | Path,
-    data: Path,
-    output: Path | None = None,
+    data: str | Path,
+    output: str | Path | None = None,
     *,
     constants: TrackingConstants = TrackingConstants(),  # noqa: B008 - frozen
     search_size: int | None = None,
@@ -56,8 +56,9 @@ def calibrate(
     Raises:
         UserError: fewer than two clips, a model that finds nothing, or a file that cannot be read or written.
     """
+    output = None if output is None else Path(output)
     check_outputs([output], [model])
-    clips = split(datasets.read("folder", data), held_out_every)[1]
+    clips = split(datasets.read("folder", Path(data)), held_out_every)[1]
     if len(clips) < 2:
         raise UserError(f"{data} holds {len(clips)} clips held out by {held_out_every}: at least two are needed")
     watch.note(f"looking at {len(clips)} clips")

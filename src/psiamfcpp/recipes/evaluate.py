@@ -22,10 +22,10 @@ _DEFAULT = TrackerOptions()
 
 
 def evaluate(
-    root: Path,
+    root: str | Path,
     dataset: BenchmarkName = "folder",
     trackers: Sequence[str] = (DEFAULT_MODEL,),
-    results: Path | None = None,
+    results: str | Path | None = None,
     jobs: int = 1,
     cluster: str | None = None,
     allow_missing: bool = False,
@@ -59,6 +59,7 @@ def evaluate(
         raise UserError(f"--jobs is {jobs}: it must be at least 1")
     if not trackers:
         raise UserError("--tracker names none: give a model, or another as opencv:mil")
+    root, results = Path(root), None if results is None else Path(results)
     choices = _named([choose(entry, options) for entry in trackers], names)
     unread: dict[str, str] = {}
     sequences = BENCHMARKS[dataset].read(root.resolve(), unread if allow_missing else None)

@@ -45,14 +45,14 @@ class Exported:
 
 def export(
     model: str | Path,
-    output: Path,
+    output: str | Path,
     *,
     int8: bool = False,
     format: Format = "onnx",
     data: Several[str] = (),
     held_out_every: int = 8,
     skip_bad: bool = False,
-    root: Path | None = None,
+    root: str | Path | None = None,
     pairs: int = 128,
     layer_loss: float = 0.02,
     watch: Watch = QUIET,
@@ -77,7 +77,7 @@ def export(
     """
     if pairs < 1:
         raise UserError(f"pairs is {pairs}: at least 1 is needed")
-    tracks = [] if root is None else read("folder", root)
+    tracks = [] if root is None else read("folder", Path(root))
     network = load(model)
     spec = network.spec
     used, checks = (pairs if int8 else 0), max(4, pairs // 4)
@@ -100,7 +100,7 @@ def export(
         for name, difference in by_layer.items():
             stays = ", stays in float" if name in kept_float else ""
             watch.note(f"{name:18} in 8 bits alone: {difference}{stays}")
-    difference = write_graphs(network, output, format, ranges, crops[used:])
+    difference = write_graphs(network, Path(output), format, ranges, crops[used:])
     found = Exported(difference, checks, by_layer, kept_float, sequences=len(tracks), left_out=left_out)
     if not tracks:
         return found

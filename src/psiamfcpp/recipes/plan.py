@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -23,6 +23,7 @@ from psiamfcpp.models.cost import facts, search_macs
 from psiamfcpp.pruning import planning
 from psiamfcpp.pruning.planning import Plan, plan_for_budget
 from psiamfcpp.pruning.table import RankTable, check_groups
+from psiamfcpp.recipes.scoring import score_model
 from psiamfcpp.runtime import open_engine, usable_cores
 from psiamfcpp.runtime.timing import search_milliseconds
 from psiamfcpp.spec import ModelSpec
@@ -63,8 +64,13 @@ class Planned:
 
 
 def plan(
-    table: RankTable,
+    source: RankTable | str | Path,
     *,
+    criterion: str = "rank",
+    ranks: str | Path | None = None,
+    data: Sequence[str] = (),
+    images: int = 100,
+    held_out_every: int = 8,
     preset: str | None = None,
     keep: Mapping[str, float] | None = None,
     remove: float | None = None,
@@ -77,10 +83,18 @@ def plan(
     timing: Timing = Timing(),
     watch: Watch = QUIET,
 ) -> Planned:
-    """Choose the filters to keep; exactly one of the first six options is given.
+    """Choose the filters to keep.
+
+    Exactly one of ``preset``, ``keep``, ``remove``, ``threshold``, ``target_macs`` and ``target_latency`` is given.
 
     Args:
-        table: a rank table, or what `psiamfcpp.recipes.scoring.score_model` gives for another criterion.
+        source: a rank table, or its .json file; or the model, to score its filters by another criterion.
+        criterion: of a model: a name of `psiamfcpp.pruning.CRITERIA`, or ``MODULE:FUNCTION``.
+        ranks: of a model: its rank table, for the criterion rank.
+        data: of a model: sets to run the training loss on, for the criterion taylor, or to draw crops from, for
+            refit; each LAYOUT:FOLDER.
+        images: of a model: pairs of crops for the criterion refit.
+        held_out_every: the N of training: one clip in N is not drawn from; 0 draws from all.
         preset: name of the architecture's shares, such as ``paper``.
         keep: share of the filters to KEEP by group; groups not named stay whole.
         remove: share of the filters to REMOVE from every group, those with flat scores apart.
@@ -103,6 +117,7 @@ def plan(
         )
     if multiple < 1:
         raise UserError(f"multiple is {multiple}: it must be at least 1")
+    table = _table(source, criterion, ranks, data, images, held_out_every)
     spec = spec_of(table, search_size)
     times = None
     if preset is not None:
@@ -129,6 +144,23 @@ def plan(
         chosen = planning.plan(table, keep, threshold)
     before, after = (facts(_with(spec, widths)) for widths in (table.widths, chosen.widths))
     return Planned(chosen, planning.rows(table, chosen), before, after, spec.search_size, times)
+
+
+def _table(
+    source: RankTable | str | Path,
+    criterion: str,
+    ranks: str | Path | None,
+    data: Sequence[str],
+    images: int,
+    held_out_every: int,
+) -> RankTable:
+    """Return the table to plan with, read or made."""
+    if not isinstance(source, RankTable) and Path(source).suffix != ".json":
+        return score_model(source, criterion, ranks=ranks, data=data, images=images, held_out_every=held_out_every)
+    if criterion != "rank" or ranks or data:
+        what = "this" if isinstance(source, RankTable) else source
+        raise UserError(f"{what} is a rank table, which needs no criterion, ranks or data: give the model instead")
+    return source if isinstance(source, RankTable) else RankTable.read(Path(source))
 
 
 def spec_of(table: RankTable, search_size: int | None = None) -> ModelSpec:

@@ -40,8 +40,8 @@ class Pruned:
 
 def prune(
     model: str | Path,
-    plan: Path | Plan,
-    output: Path | None = None,
+    plan: str | Path | Plan,
+    output: str | Path | None = None,
     *,
     data: Sequence[str] = (),
     images: int = 100,
@@ -69,6 +69,8 @@ def prune(
     Raises:
         UserError: a file cannot be read or written, the plan is for another model, or the data hold nothing to draw.
     """
+    plan = Path(plan) if isinstance(plan, str) else plan
+    output = None if output is None else Path(output)
     check_outputs([output], [model, plan if isinstance(plan, Path) else None])
     if images < 1:
         raise UserError(f"images is {images}: it must be at least 1")

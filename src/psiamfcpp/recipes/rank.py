@@ -30,7 +30,7 @@ _SAVE_SECONDS = 15.0
 def rank(
     model: str | Path,
     data: Sequence[str],
-    output: Path | None = None,
+    output: str | Path | None = None,
     *,
     images: int = 200,
     batch: int = 4,
@@ -64,6 +64,7 @@ def rank(
         raise UserError(
             f"images ({images}) must be at least 2, since halves are compared, and batch ({batch}) at least 1"
         )
+    output = None if output is None else Path(output)
     if output and (output.suffix in (".png", ".npz") or not output.parent.is_dir()):
         raise UserError(f"output {output} must be a .json file in a folder that exists")
     network, choice = load(model), DataChoice(tuple(data), held_out_every, skip_bad)

@@ -12,9 +12,9 @@ from psiamfcpp.watch import QUIET, Watch
 
 
 def report(
-    results: Sequence[Path],
-    output: Path,
-    annotations: Mapping[str, Path] | None = None,
+    results: Sequence[str | Path],
+    output: str | Path,
+    annotations: Mapping[str, str | Path] | None = None,
     allow_missing: bool = False,
     percent: bool = False,
     sequences: Sequence[str] = (),
@@ -44,7 +44,8 @@ def report(
     import jinja2  # noqa: F401
     import matplotlib  # noqa: F401
 
-    comparisons = collect(list(results), dict(annotations or {}), allow_missing)
+    labels = {name: Path(folder) for name, folder in (annotations or {}).items()}
+    comparisons = collect([Path(folder) for folder in results], labels, allow_missing)
     for c in comparisons:
         for entry in c.measured:
             if entry.missing:
@@ -54,4 +55,4 @@ def report(
     unknown = next((name for name in sequences if name not in known), None)
     if unknown is not None:
         raise UserError(f"sequence {unknown} is in none of the benchmarks: sequences.csv of a report lists them")
-    return write_report(comparisons, output, percent, sequences)
+    return write_report(comparisons, Path(output), percent, sequences)

@@ -73,12 +73,12 @@ class _Work:
 
 
 def reproduce(
-    root: Path | None = None,
-    output: Path | None = None,
+    root: str | Path | None = None,
+    output: str | Path | None = None,
     wanted: Sequence[int] = (),
     checkouts: Sequence[str] = (),
-    results: Sequence[Path] = (),
-    ranks: Path | None = None,
+    results: Sequence[str | Path] = (),
+    ranks: str | Path | None = None,
     data: Sequence[str] = (),
     finetune_steps: int = 200,
     jobs: int = 1,
@@ -109,7 +109,9 @@ def reproduce(
         UserError: an option is out of range, a folder is missing, or an output folder is needed.
         ModuleNotFoundError: matplotlib or jinja2 is not installed (extra ``report``).
     """
-    _check(root, wanted, results, finetune_steps, jobs)
+    root, output, ranks = (None if path is None else Path(path) for path in (root, output, ranks))
+    folders = [Path(folder) for folder in results]
+    _check(root, wanted, folders, finetune_steps, jobs)
     chosen = tuple(wanted) or TABLES
     found = {name: find_benchmark(BENCHMARKS[name], root) if root else None for name in averaged()}
     own = (output / "results").resolve() if output else None
@@ -123,7 +125,7 @@ def reproduce(
     if output is None and (planned or with_ratios):
         raise UserError("frames are there and runs are to be done: give -o DIR for results and page, or --dry-run")
     # What is wrong with them must be said before hours of runs.
-    theirs = _score(found, results)
+    theirs = _score(found, folders)
     if output:
         # So must be the absence of these.
         import jinja2  # noqa: F401

@@ -16,8 +16,8 @@ from psiamfcpp.watch import QUIET, Watch
 
 def score(
     dataset: BenchmarkName,
-    annotations: Path,
-    results: Sequence[Path],
+    annotations: str | Path,
+    results: Sequence[str | Path],
     conventions: Sequence[Convention] = CONVENTIONS,
     allow_missing: bool = False,
     watch: Watch = QUIET,
@@ -42,8 +42,8 @@ def score(
         raise UserError("--results names no folder: give those of the trackers")
     benchmark = BENCHMARKS[dataset]
     unread: dict[str, str] = {}
-    labels = benchmark.read_labels(annotations, unread if allow_missing else None)
-    trackers = find_all(list(results), (dataset, *benchmark.folders[:1]), labels)
+    labels = benchmark.read_labels(Path(annotations), unread if allow_missing else None)
+    trackers = find_all([Path(folder) for folder in results], (dataset, *benchmark.folders[:1]), labels)
     return measure_all(dataset, labels, trackers, conventions, allow_missing, watch, unread)
 
 

@@ -37,7 +37,7 @@ def score_model(
     model: str | Path | Network,
     criterion: str | Criterion = "rank",
     *,
-    ranks: Path | None = None,
+    ranks: str | Path | None = None,
     data: Several[str] = (),
     images: int = 100,
     seed: int = 0,
@@ -64,7 +64,7 @@ def score_model(
     """
     network = model if isinstance(model, Network) else load(model)
     function = find_criterion(criterion) if isinstance(criterion, str) else criterion
-    context = Context(network, example_inputs(network.spec), read_ranks(ranks, network) if ranks else None)
+    context = Context(network, example_inputs(network.spec), read_ranks(Path(ranks), network) if ranks else None)
     sequences = DataChoice(tuple(data), held_out_every).training if data else []
     # A function of the user's may look at both.
     if sequences and criterion not in WITH_MAPS:

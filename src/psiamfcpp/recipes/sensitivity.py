@@ -39,9 +39,9 @@ _CELL_FORMAT, _SETUP_FORMAT = "psiamfcpp-cell/1", "psiamfcpp-sensitivity/1"
 
 def sensitivity(
     model: str | Path,
-    ranks: Path,
-    root: Path,
-    output: Path,
+    ranks: str | Path,
+    root: str | Path,
+    output: str | Path,
     *,
     data: Sequence[str] = (),
     options: TrainOptions = SHORT,
@@ -82,7 +82,8 @@ def sensitivity(
         raise UserError(f"the share to keep is {wrong:g}: it must lie above 0 and be at most 1")
     if jobs < 1:
         raise UserError(f"jobs is {jobs}: it must be at least 1")
-    setup = Setup(str(model), ranks, root, tuple(data), options)
+    output = Path(output)
+    setup = Setup(str(model), Path(ranks), Path(root), tuple(data), options)
     wanted = cells(setup, tuple(rows or known), tuple(shares or SHARES))
     order = {(c.row, c.share, c.criterion, c.tuned): number for number, c in enumerate(wanted)}
     done: list[dict[str, Any]] = []

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -22,24 +22,29 @@ _OPTIONS, _RUN = TrainOptions(), RunOptions()
 
 
 def train(
-    data: DataChoice,
-    init: Path,
-    output: Path,
+    data: Sequence[str],
+    init: str | Path,
+    output: str | Path,
+    *,
     options: TrainOptions = _OPTIONS,
     run: RunOptions = _RUN,
+    held_out_every: int = 10,
     note: str = "",
+    skip_bad: bool = False,
     on_row: Callable[[dict[str, Any]], None] = lambda row: None,
     watch: Watch = QUIET,
 ) -> Path:
     """Train a network, or continue the run found in the output folder.
 
     Args:
-        data: training sets and their held-out part.
+        data: training sets, each LAYOUT:FOLDER.
         init: start: a checkpoint of ours, a shipped model's name, or torchvision's AlexNet features (.safetensors).
         output: folder of the run: model.safetensors, state.pt, log.jsonl, curve.png.
         options: what decides the result.
         run: how it is carried out.
+        held_out_every: hold out one video in N for validation, chosen by a hash of its name; 0 holds out none.
         note: a line on the data for the model's provenance.
+        skip_bad: leave out of the data what cannot be read; `watch` receives what.
         on_row: receives each row of the log as it is written.
         watch: receives one line on the data before the first step.
 
@@ -55,18 +60,19 @@ def train(
     from psiamfcpp.training.loop import LOG_FILE, MODEL_FILE
     from psiamfcpp.training.loop import train as run_training
 
+    init, output, choice = Path(init), Path(output), DataChoice(tuple(data), held_out_every, skip_bad)
     check_outputs([output / MODEL_FILE], [weights_path(init)])
-    training, held_out = data.training, data.held_out
+    training, held_out = choice.training, choice.held_out
     torch.manual_seed(options.seed)
     model = _start(init, options.seed)
     model.spec = dataclasses.replace(
         model.spec,
         search_size=options.pairs.search_size,
-        provenance=_provenance(model.spec.provenance, init, data, options, note),
+        provenance=_provenance(model.spec.provenance, init, choice, options, note),
     )
     first = os.environ.get("RANK", "0") == "0"
     if first:
-        data.note_left_out(watch.note)
+        choice.note_left_out(watch.note)
         usable = sum(len(sequence.usable()) > 0 for sequence in training)
         watch.note(f"{usable} targets to train on, {len(held_out)} clips held out")
     try:

@@ -68,6 +68,8 @@ def open_session(
     options.add_session_config_entry("session.force_spinning_stop", "1")
     # Threads take smaller and smaller blocks of a layer, so that none waits long for the last.
     options.add_session_config_entry("session.dynamic_block_base", "4")
+    # x86 without VNNI would add products of 8 bits in 16 bits, where they saturate: other boxes than everywhere else.
+    options.add_session_config_entry("session.x64quantprecision", "1")
     if search_size is not None:
         # With its size known at load, onnxruntime lays out memory and folds the grid of cells once.
         options.add_free_dimension_override_by_name("size", search_size)

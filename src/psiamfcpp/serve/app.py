@@ -49,13 +49,17 @@ and gets `{"type": "reply", "request": ..., "ok": ...}` with `error` where it wa
 number the message held under that name.
 
 **One operator.** Whoever commands first is in control until it hands over (`DELETE /api/operator`), or gives no sign of
-life for 15 seconds; others get 409. Over REST, the header `X-Client` names the client.
+life for 15 seconds; others get 409. One that takes control meanwhile (`POST /api/operator`) asks for it: for 15 seconds
+`asked` is true in the state of the one in control, and handing over gives control to the one that asks. Over REST, the
+header `X-Client` names the client.
 
 **Token.** Where the server was started with one: `Authorization: Bearer TOKEN`, or the cookie that `POST /api/login`
 sets.
 """
+# Its schema and not the class, of which FastAPI would make a model anew for each code of each route.
+_REFUSAL = messages.Refusal.model_json_schema()
 _REFUSALS: dict[int | str, dict[str, Any]] = {
-    code: {"model": messages.Refusal, "description": what}
+    code: {"description": what, "content": {"application/json": {"schema": _REFUSAL}}}
     for code, what in {
         401: "no token, or a wrong one",
         403: "a foreign host or origin",
@@ -197,7 +201,7 @@ def _add_commands(app: FastAPI, room: Room) -> None:
 
     @app.post("/api/operator", response_model=messages.Done, tags=["access"])
     async def take(request: Request, client: ClientName = None) -> dict[str, bool]:
-        """Take control, or say that one still wants it."""
+        """Take control, say that one still wants it, or ask the client in control to hand over."""
         control.take(_name(request, client))
         return {"ok": True}
 

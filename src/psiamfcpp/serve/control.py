@@ -27,13 +27,18 @@ class TooManyError(UserError):
 
 
 class Lease:
-    """Who controls: whoever took it first, until it is released or its holder gave no sign of life for a while."""
+    """Who controls: whoever took it first, until it is released or its holder gave no sign of life for a while.
+
+    Another client may ask for it. While it still does, it is next when control is released.
+    """
 
     def __init__(self, clock: Callable[[], float] = time.monotonic):
         self._clock = clock
         self._lock = threading.Lock()
         self._holder: str | None = None
         self._seen = 0.0
+        self._asking: str | None = None
+        self._asked = 0.0
 
     @property
     def holder(self) -> str | None:
@@ -46,7 +51,22 @@ class Lease:
         with self._lock:
             if self._current() in (None, client):
                 self._holder, self._seen = client, self._clock()
+                self._asking = None if self._asking == client else self._asking
             return self._holder == client
+
+    @property
+    def asking(self) -> str | None:
+        """The client that asks for control, for a while after it did."""
+        with self._lock:
+            return self._next()
+
+    def ask(self, client: str) -> bool:
+        """Take control if nobody has it, else ask for it; whether the client now has it."""
+        if self.claim(client):
+            return True
+        with self._lock:
+            self._asking, self._asked = client, self._clock()
+        return False
 
     def keep(self, client: str) -> None:
         """A sign of life."""
@@ -55,10 +75,14 @@ class Lease:
                 self._seen = self._clock()
 
     def release(self, client: str) -> None:
-        """Give control up, if the client has it."""
+        """Give control up, if the client has it, to the one that asks for it."""
         with self._lock:
-            if self._holder == client:
-                self._holder = None
+            if self._current() == client:
+                self._holder, self._seen = self._next(), self._clock()
+                self._asking = None
+
+    def _next(self) -> str | None:
+        return self._asking if self._clock() - self._asked <= LEASE_S else None
 
     def _current(self) -> str | None:
         if self._holder is not None and self._clock() - self._seen > LEASE_S:
@@ -142,7 +166,9 @@ class Control:
         self.follower.select(number)
 
     def take(self, client: str) -> None:
-        """Take control without commanding anything."""
+        """Take control without commanding anything; where another client has it, that one sees that it is asked for."""
+        if not self.lease.ask(client):
+            raise NotOperatorError("another client is in control: it was asked to hand over")
         self._admit(client)
 
     def record(self, client: str, on: bool) -> None:

@@ -101,6 +101,7 @@ class State(BaseModel):
     targets: list[Target]
     selected: int | None = Field(description="the target that MAVLink speaks of")
     operator: Literal["none", "you", "other"] = Field(description="who is in control")
+    asked: bool = Field(description="you are in control, and another client asks for it")
     recording: bool | None = Field(description="null where recording was not allowed with --record")
     clients: int = Field(description="programs and pages connected to /api/live")
     latency_ms_median: float | None = Field(

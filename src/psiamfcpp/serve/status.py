@@ -42,6 +42,7 @@ def status(control: Control, client: str, fov: float | None) -> dict[str, Any]:
         "targets": targets(shot, fov) if shot else [],
         "selected": shot.selected if shot else None,
         "operator": "none" if holder is None else "you" if holder == client else "other",
+        "asked": holder == client and control.lease.asking is not None,
         "recording": None if control.recorder is None else control.recorder.on,
     }
 

@@ -21,6 +21,8 @@ FILES = {
 }
 """options that hold model files, by OpenCV's name of the tracker"""
 
+_CONTRIB = ("csrt", "kcf")
+
 
 def opencv_trackers() -> list[str]:
     """Return the names of the trackers that the installed OpenCV has."""
@@ -41,7 +43,9 @@ def open_tracker(name: str, options: Mapping[str, str]) -> OpenCvTracker:
     full = next((k for k in known if k.lower() == f"tracker{name.lower()}"), None)
     if full is None:
         short = ", ".join(k.removeprefix("Tracker").lower() for k in known)
-        raise UserError(f"OpenCV has no tracker {name!r} here: there are {short}")
+        hint = "; it is in opencv-contrib-python-headless, and benchmarks/peers.sh makes an environment with that"
+        hint = hint if name.lower() in _CONTRIB else ""
+        raise UserError(f"OpenCV has no tracker {name!r} here: there are {short}{hint}")
     wanted = FILES.get(full, ())
     if set(options) != set(wanted):
         form = f"opencv:{name.lower()}" + "".join(f",{part}=FILE" for part in wanted)

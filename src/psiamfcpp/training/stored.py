@@ -25,7 +25,6 @@ from torch import Tensor
 from psiamfcpp.errors import UserError, brief
 from psiamfcpp.geometry import Image, context_side, from_corners, overlap
 from psiamfcpp.models.network import Maps, cell_grid
-from psiamfcpp.spec import TEMPLATE_SIZE
 from psiamfcpp.training.losses import iou
 from psiamfcpp.training.options import PairOptions
 from psiamfcpp.training.pairs import Pair, PairSampler
@@ -97,7 +96,7 @@ def say(look: Look, pair: Pair) -> Said:
     x0, y0, x1, y1 = pair.corners
     width, height = x1 - x0 + 1, y1 - y0 + 1
     # Side of the target in a crop of ours without jitter, by the shape that it has in the search crop.
-    side = TEMPLATE_SIZE * math.sqrt(width * height) / context_side(width, height)
+    side = pair.template.shape[0] * math.sqrt(width * height) / context_side(width, height)
     score, shape, offset = look(_middle(pair.template, 2 * side, _TEMPLATE), _middle(pair.search, 4 * side, _REGION))
     row, column = np.unravel_index(int((score * _window()).argmax()), score.shape)
     origin = (size - 1) / 2 - 2 * side

@@ -22,6 +22,7 @@ _WEIGHTS = "psiamfcpp_weights"
 # What the distribution of weights holds, so that it can be named where it is missing.
 _ELSEWHERE = (
     "plightfc",
+    "plightfc-s",
     "psiamfcpp-alexnet",
     "psiamfcpp-alexnet-n",
     "psiamfcpp-alexnet-s",

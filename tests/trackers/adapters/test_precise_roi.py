@@ -48,6 +48,7 @@ def test_an_empty_box_gives_zeros_and_no_nan() -> None:
     assert torch.isfinite(features.grad).all()
 
 
+@pytest.mark.slow
 def test_boxes_have_the_gradient_that_their_refinement_follows() -> None:
     features = torch.rand(1, 2, 6, 6, dtype=torch.float64, generator=torch.Generator().manual_seed(0))
     box = torch.tensor([[4.3, 6.1, 30.2, 33.7]], dtype=torch.float64, requires_grad=True)

@@ -28,25 +28,24 @@ def boxes(name: str, clip: list[np.ndarray], start: tuple[float, ...] = (40, 30,
     return np.array([tracker.update(frame).box for frame in clip[1:]])
 
 
+CHANGES = {
+    "smaller": lambda f: f[:50, :60],
+    "larger": lambda f: np.repeat(np.repeat(f, 2, axis=0), 2, axis=1),
+    "one-pixel": lambda f: f[:1, :1],
+    "grey": lambda f: np.repeat(f[..., :1], 3, axis=2),
+    "black": np.zeros_like,
+    "not-contiguous": lambda f: f[:, ::-1],
+}
+
+
 @pytest.mark.parametrize("name", FILTERS)
-@pytest.mark.parametrize(
-    "change",
-    [
-        lambda f: f[:50, :60],
-        lambda f: np.repeat(np.repeat(f, 2, axis=0), 2, axis=1),
-        lambda f: f[:1, :1],
-        lambda f: np.repeat(f[..., :1], 3, axis=2),
-        lambda f: np.zeros_like(f),
-        lambda f: f[:, ::-1],
-    ],
-    ids=["smaller", "larger", "one-pixel", "grey", "black", "not-contiguous"],
-)
-def test_a_frame_of_another_kind_in_between_gives_finite_boxes(name, change):
-    clip = frames(5)
-    clip[2] = change(clip[2])
-    found = boxes(name, clip)
-    assert np.isfinite(found).all()
-    assert (found[:, 2:] > 0).all()
+def test_a_frame_of_another_kind_in_between_gives_finite_boxes(name):
+    for what, change in CHANGES.items():
+        clip = frames(5)
+        clip[2] = change(clip[2])
+        found = boxes(name, clip)
+        assert np.isfinite(found).all(), what
+        assert (found[:, 2:] > 0).all(), what
 
 
 @pytest.mark.parametrize("name", FILTERS)
@@ -57,8 +56,8 @@ def test_colour_after_a_grey_first_frame_is_read_as_grey(name):
 
 
 @pytest.mark.parametrize("name", FILTERS)
-@pytest.mark.parametrize("by", [(-9, -13), (11, 8)])
-def test_a_target_that_leaves_the_frame_gives_finite_boxes(name, by):
-    found = boxes(name, frames(12, by))
-    assert np.isfinite(found).all()
-    assert (found[:, 2:] > 0).all()
+def test_a_target_that_leaves_the_frame_gives_finite_boxes(name):
+    for by in ((-9, -13), (11, 8)):
+        found = boxes(name, frames(12, by))
+        assert np.isfinite(found).all(), by
+        assert (found[:, 2:] > 0).all(), by

@@ -13,7 +13,6 @@ from numpy.testing import assert_array_equal
 
 from psiamfcpp import Track, Tracker, UserError
 from psiamfcpp.geometry import Box, centre_error, overlap
-from psiamfcpp.spec import TEMPLATE_SIZE
 from psiamfcpp.trackers.siamfcpp.confidence import LOST_AFTER
 from psiamfcpp.trackers.siamfcpp.following import LOOK_EVERY, SEARCH_AFTER
 
@@ -361,7 +360,7 @@ def test_odd_boxes_keep_every_number_finite(blob_engine: Any, blob_frame: Draw, 
     for _ in range(3):
         track = tracker.update(blob_frame(START))
         assert all(math.isfinite(v) for v in (*track.box, track.score))
-    assert blob_engine.templates[0].shape == (TEMPLATE_SIZE, TEMPLATE_SIZE, 3)
+    assert blob_engine.templates[0].shape == (127, 127, 3)
 
 
 def test_the_model_s_own_limits_are_used(tiny_model: Any, blob_frame: Draw) -> None:

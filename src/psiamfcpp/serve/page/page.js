@@ -16,6 +16,9 @@ let adding = false;      // the next box is one more target
 let pause = 250;         // before the next attempt to connect
 let alive = 0;           // when something was last heard
 let requests = 0;
+let sound = false;       // whether losing a target is heard
+let lost = new Set();    // targets that were lost when last told
+let audio = null;
 const replies = new Map();   // what to do with the answers that are still to come
 
 const view = makeView(byId("picture"), {
@@ -167,7 +170,9 @@ function panel() {
   byId("hint").hidden = !mine || !shown || !(still || adding || !state.targets.length);
   if (!view.keys) byId("hint").textContent = hint();
   byId("picture").classList.toggle("watching", !mine);
-  if (state.source.state === "silent") banner("The stream has stopped: it is being opened again\u2026", "silent");
+  listen();
+  if (state.asked) banner("Another viewer asks for control: hand over (C), or go on.", "asked");
+  else if (state.source.state === "silent") banner("The stream has stopped: it is being opened again\u2026", "silent");
   else if (byId("banner").dataset.kind !== "note") banner("");
 }
 
@@ -176,7 +181,8 @@ function heading() {
   const [text, kind] = kinds[state.source.state];
   chip(byId("link"), state.source.live || text !== "live" ? text : "playing", kind);
   byId("role").hidden = state.operator === "none";
-  chip(byId("role"), state.operator === "you" ? "you control" : "another controls", state.operator === "you" ? "good" : "wait");
+  const roles = { you: ["you control", "good"], other: ["another controls", "wait"], none: ["", ""] };
+  chip(byId("role"), ...(state.asked ? ["you are asked to hand over", "wait"] : roles[state.operator]));
   byId("rec").hidden = !state.recording;
   byId("source").textContent = state.width ? `${state.source.name} \u00b7 ${state.width}\u00d7${state.height}` : state.source.name;
 }
@@ -213,10 +219,11 @@ function commands(mine) {
   byId("record").textContent = state.recording ? "Stop recording" : "Record";
   byId("recorded").hidden = state.recording === null;
   byId("snapshot").disabled = !shown;
-  byId("operator").disabled = !mine;
-  byId("operator").textContent = state.operator === "you" ? "Hand over" : "Take control";
+  byId("operator").disabled = false;
+  byId("operator").textContent = { you: "Hand over", other: "Ask for control", none: "Take control" }[state.operator];
   byId("why").hidden = mine;
   byId("why").textContent = mine ? "" : "Another operator is in control: it is yours when they hand over, or 15 s after they leave.";
+  byId("sound").disabled = false;
   byId("add").hidden = !state.targets.length;
   byId("add").disabled = !mine;
   byId("add").setAttribute("aria-pressed", adding);
@@ -249,6 +256,32 @@ function list(mine) {
   }
   for (const item of old.values()) item.remove();
   byId("empty").hidden = state.targets.length > 0;
+}
+
+/** A sound where a target is lost that was not, if it is wanted. */
+function listen() {
+  const now = new Set(state.targets.filter((target) => target.state === "lost").map((target) => target.id));
+  if (sound && [...now].some((id) => !lost.has(id))) beep();
+  lost = now;
+}
+
+function beep() {
+  audio ??= new AudioContext();
+  const tone = audio.createOscillator();
+  const loudness = audio.createGain();
+  loudness.gain.value = 0.2;
+  tone.frequency.setValueAtTime(880, audio.currentTime);
+  tone.frequency.setValueAtTime(587, audio.currentTime + 0.15);
+  tone.connect(loudness).connect(audio.destination);
+  tone.start();
+  tone.stop(audio.currentTime + 0.3);
+}
+
+/** Sound is off until it is asked for: browsers play none before a click or a key. */
+function toggleSound() {
+  sound = !sound;
+  byId("sound").setAttribute("aria-pressed", sound);
+  if (sound) beep();
 }
 
 function angle(degrees, positive, negative) {
@@ -352,7 +385,7 @@ function snapshot() {
 }
 
 const KEYS = {
-  a: toggleAdding, r: record, s: snapshot, c: control, p: togglePause,
+  a: toggleAdding, r: record, s: snapshot, c: control, p: togglePause, m: toggleSound,
   x: () => send({ type: "stop" }), Delete: stopChosen, Backspace: stopChosen,
   ",": () => step(-1), ".": () => step(1), "?": () => byId("help").showModal(),
 };
@@ -372,6 +405,7 @@ byId("snapshot").onclick = snapshot;
 byId("operator").onclick = control;
 byId("pause").onclick = togglePause;
 byId("add").onclick = toggleAdding;
+byId("sound").onclick = toggleSound;
 byId("recorded").ontoggle = listRecordings;
 byId("slider").oninput = () => { sliding = true; };
 byId("slider").onchange = () => {
