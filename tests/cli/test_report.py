@@ -51,7 +51,7 @@ def test_no_results(run: Run, tmp_path: Path) -> None:
     assert not (tmp_path / "out").exists()
 
 
-def test_without_matplotlib_the_mend_is_said(
+def test_without_matplotlib_the_message_names_the_extra(
     run: Run, results: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "matplotlib", None)

@@ -57,15 +57,15 @@ def test_it_gives_the_boxes_of_the_package(
 
 
 @pytest.mark.slow
-def test_not_even_where_boxes_hang_on_single_roundings_do_they_part() -> None:
-    # The graphs in 8 bits, and a piece of ground as target: what differs in the last digit differs by pixels soon.
+def test_the_boxes_are_equal_where_they_depend_on_single_roundings() -> None:
+    # 8-bit graphs on a piece of bare ground: a difference in the last digit soon is a difference of pixels.
     sys.path.insert(0, str(SCRIPT.parent))
     try:
         from minimal import Minimal  # type: ignore[import-not-found]
     finally:
         sys.path.pop(0)
     name = "psiamfcpp-alexnet-s-int8"
-    minimal, tracker = Minimal(str(graph_folder(name))), Tracker(name, plain=True)
+    minimal, tracker = Minimal(str(graph_folder(name)), threads=1), Tracker(name, threads=1, plain=True)
     box = (120.0, 90.0, 60.0, 50.0)
     first, *shots = (shot.image for shot in render(4, 40, (320, 192)))
     minimal.init(first, box)
