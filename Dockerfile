@@ -12,7 +12,7 @@ FROM python:3.11-slim
 COPY --from=build /opt/psiamfcpp /opt/psiamfcpp
 RUN useradd --create-home --uid 1000 tracker \
     && install -d -o tracker -g tracker /recordings
-# onnxruntime would otherwise send its telemetry, and write an identifier to the home folder.
+# Without the last variable onnxruntime sends telemetry, and writes an identifier to the home folder.
 ENV PATH=/opt/psiamfcpp/bin:$PATH PYTHONUNBUFFERED=1 ORT_DISABLE_TELEMETRY=1
 USER tracker
 WORKDIR /home/tracker

@@ -95,14 +95,15 @@ def _agrees(file: NpzFile, model: str, frames: int) -> bool:
     """Compare one model and print a line; tell whether it is within the limits."""
     kept = {name: file[f"{model}/{name}"] for name in ("boxes", "states", "template", "searches", "scores", "cells")}
     engine = open_engine(model, "onnx", threads=1)
-    found = _follow(engine, file["frames"][:frames], file["truth"])
+    truth = file["truth"][:frames]
+    found = _follow(engine, file["frames"][:frames], truth)
     shared = overlap(kept["boxes"][:frames], found["boxes"])
     same = kept["states"][:frames] == found["states"]
     pairs = [Pair(kept["template"], search) for search in kept["searches"]]
     difference = compare_answers(list(zip(kept["scores"], kept["cells"], strict=True)), look(engine, pairs))
     print(
         f"{model}: mean overlap {shared.mean():.4f}, least {shared.min():.4f}, states equal in {same.sum()} of "
-        f"{len(same)} frames; graphs on {len(pairs)} crops: {difference}",
+        f"{len(same)} frames; {_scale(found['boxes'], truth)}; graphs on {len(pairs)} crops: {difference}",
         flush=True,
     )
     return bool(shared.mean() >= _LEAST_OVERLAP and same.all())
