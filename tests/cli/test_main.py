@@ -22,9 +22,9 @@ from psiamfcpp.errors import UserError
 from .conftest import Run
 
 REQUIRED = {
-    "track": "STR",
-    "info": "STR",
-    "serve": "STR",
+    "track": "SOURCE",
+    "info": "MODEL",
+    "serve": "SOURCE",
     "evaluate": "--root",
     "score": "--annotations",
     "report": "--output",
