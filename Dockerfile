@@ -2,7 +2,8 @@
 # Not yet built, see docs/docker.md.
 FROM python:3.11-slim AS build
 WORKDIR /source
-COPY pyproject.toml constraints.txt README.md LICENSE ./
+COPY pyproject.toml constraints.txt README.md LICENSE NOTICE ./
+COPY licenses licenses
 COPY src src
 RUN python -m venv /opt/psiamfcpp \
     && /opt/psiamfcpp/bin/pip install --no-cache-dir -c constraints.txt '.[serve,mavlink]'
@@ -11,7 +12,8 @@ FROM python:3.11-slim
 COPY --from=build /opt/psiamfcpp /opt/psiamfcpp
 RUN useradd --create-home --uid 1000 tracker \
     && install -d -o tracker -g tracker /recordings
-ENV PATH=/opt/psiamfcpp/bin:$PATH PYTHONUNBUFFERED=1
+# Without the last variable onnxruntime sends telemetry, and writes an identifier to the home folder.
+ENV PATH=/opt/psiamfcpp/bin:$PATH PYTHONUNBUFFERED=1 ORT_DISABLE_TELEMETRY=1
 USER tracker
 WORKDIR /home/tracker
 VOLUME /recordings

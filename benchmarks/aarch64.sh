@@ -4,10 +4,10 @@
 #     benchmarks/aarch64.sh FOLDER [FRAMES [MODEL ...]]
 #
 # Needs root and, on Debian, debootstrap and qemu-user-static 8.1 or later (bookworm-backports). Older ones show programs
-# the /proc/cpuinfo of the host, and onnxruntime crashes at import. FOLDER gets a Debian for arm64, aarch64 wheels of all
-# dependencies, and the record of this computer; what is there is used again. Nothing is installed outside FOLDER.
+# the /proc/cpuinfo of the host, and onnxruntime crashes at import. FOLDER gets a Debian for arm64 and aarch64 wheels of
+# all dependencies, which are used again, and the record of this computer. Nothing is installed outside FOLDER.
 # cortex-a72 (Raspberry Pi 4) has no dot product, cortex-a76 (Raspberry Pi 5) has it, max has matrix products too.
-# Emulation takes seconds a frame, so FRAMES is 60 at most. Speeds say nothing.
+# Emulation takes seconds a frame, so FRAMES is 60 at most. Its speed says nothing about the processors.
 set -eu
 if [ $# -lt 1 ]; then
     sed -n '4s/^# *//p' "$0" >&2
@@ -32,8 +32,8 @@ if [ ! -d "$folder/env" ]; then
         --platform manylinux_2_28_aarch64 --platform manylinux_2_27_aarch64 --platform manylinux2014_aarch64 \
         --constraint "$source/constraints.txt" joblib numpy onnxruntime opencv-python-headless rich tyro
 fi
-[ -f "$folder/here.npz" ] || PYTHONPATH="$source/src" python3 "$source/benchmarks/processors.py" record \
-    "$folder/here.npz" --models "$@"
+# Anew each time, since models may have changed.
+PYTHONPATH="$source/src" python3 "$source/benchmarks/processors.py" record "$folder/here.npz" --models "$@"
 
 status=0
 for processor in cortex-a72 cortex-a76 max; do

@@ -1,4 +1,4 @@
-"""How far models of one architecture agree with the first of them, by their procedure, on crops of held-out clips.
+"""Compare models of one architecture with the first of them, by their procedure, on crops of held-out clips.
 
     python benchmarks/agreement.py MODEL OTHER [OTHER ...] --data LAYOUT:FOLDER [LAYOUT:FOLDER ...]
 
@@ -10,6 +10,7 @@ as a share of the first model's: the median of the ratios, pair by pair, which o
 
 from __future__ import annotations
 
+import sys
 import time
 from collections.abc import Sequence
 
@@ -58,7 +59,7 @@ def main(
 
 
 def _found(engine: Engine, procedure: Procedure, window: np.ndarray, pair: Pair) -> tuple[Estimate, float]:
-    """What is chosen, about a target in the middle of a frame that is the crop; processor time of the search in s."""
+    """Return the choice for a target in the middle of the crop, and the processor time of the search in seconds."""
     side = float(engine.spec.search_size)
     kernels = engine.template(pair.template)
     start = time.process_time()
@@ -73,4 +74,8 @@ def _boxes(found: Sequence[Estimate]) -> np.ndarray:
 
 
 if __name__ == "__main__":
-    tyro.cli(main)
+    try:
+        tyro.cli(main)
+    except UserError as error:
+        print(f"agreement.py: {error}", file=sys.stderr)
+        sys.exit(2)

@@ -1,4 +1,4 @@
-"""Several crops in the 8-bit search graph: one after the other, as one batch, or side by side?
+"""Time several crops in the 8-bit search graph: one after the other, as one batch, and side by side.
 
     python benchmarks/batch.py --threads 2 [--targets 4] [--rounds 20]
 
@@ -60,7 +60,7 @@ def main(model: str = DEFAULT_MODEL, threads: int = 1, targets: int = 4, rounds:
 
 
 def batched(model: str, count: int, cells: int) -> bytes:
-    """The search graph for a batch of that many crops, with a score map of that side.
+    """Return the search graph for a batch of that many crops, with a score map of that side.
 
     The features of all stand side by side in one grouped convolution.
     """

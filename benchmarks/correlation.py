@@ -1,4 +1,4 @@
-"""Which form of the depth-wise correlation with a kernel from outside is fastest in onnxruntime?
+"""Time three forms of the depth-wise correlation, with kernels that are inputs, in onnxruntime.
 
     python benchmarks/correlation.py [--threads 1] [--rounds 50]
 
@@ -20,7 +20,7 @@ OUT = SIDE - KERNEL + 1
 
 
 def shifted(constants, nodes, tensor, top, left, height, width):
-    """Slice of height x width from (top, left); its name."""
+    """Add a slice of height x width from (top, left); return its name."""
     name = f"{tensor}_{top}_{left}"
     for key, value in (("from", [top, left]), ("to", [top + height, left + width]), ("axes", [2, 3])):
         constants.append(numpy_helper.from_array(np.array(value), f"{name}_{key}"))

@@ -1,4 +1,4 @@
-"""What criteria of pruning are worth before any training: agreement with the unpruned network on held-out pairs.
+"""Compare plans of pruning before any training, by agreement with the unpruned network on held-out pairs.
 
     python benchmarks/criteria.py MODEL --data clips:CLIPS --plans a.json b.json [--images 100] [--pairs 300]
 
@@ -72,7 +72,7 @@ def main(
 
 @torch.inference_mode()
 def _look(network: Network, pair: Pair) -> Estimate:
-    """What the procedure makes of a pair, the target before being of the label's size and in the crop's middle."""
+    """Return what the procedure chooses for a pair. The target before is in the crop's middle, of the label's size."""
     spec = network.spec
     procedure = opened(spec.arch.procedure)
     z, x = (torch.from_numpy(image).permute(2, 0, 1)[None].float() for image in (pair.template, pair.search))
@@ -100,7 +100,7 @@ def _corners(target: Target) -> tuple[float, float, float, float]:
 
 
 def _label(network: Network, pair: Pair) -> tuple[float, float, float, float]:
-    """Corners of the label where `_look` places boxes."""
+    """Return the corners of the label in the coordinates of `_look`."""
     before, procedure = _before(pair), opened(network.spec.arch.procedure)
     zoom, middle = procedure.zoom(before, network.spec), procedure.middle(network.spec.search_size)
     x0, y0, x1, y1 = pair.corners

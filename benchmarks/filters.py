@@ -1,4 +1,4 @@
-"""Correlation filters against their authors' own boxes, frame by frame and in scores, and their rates.
+"""Compare correlation filters with their authors' own boxes, frame by frame and in scores, and time them.
 
     python benchmarks/filters.py --root SEQUENCES --peers BOXES [--trackers kcf fdsst]
 
@@ -45,7 +45,7 @@ LINE = "{:10} {:14} {:>6} {:>9} {:>9} {:>8} {:>13} {:>13} {:>7}"
 
 @dataclass(frozen=True)
 class Comparison:
-    """Of one tracker with its authors' boxes on one sequence."""
+    """One tracker compared with its authors' boxes on one sequence."""
 
     frames: int
     identical: int
@@ -61,7 +61,7 @@ class Comparison:
 
 
 def follow(name: str, sequence: Sequence) -> tuple[FloatArray, float]:
-    """Boxes of a tracker on a sequence, and the rate of its updates; the first, which warms up, does not count."""
+    """Return boxes of a tracker on a sequence, and the rate of its updates after the first, which warms up."""
     tracker = open_dcf(name)
     boxes, seconds = sequence.boxes.copy(), []
     for i, path in enumerate(sequence.frames):

@@ -1,4 +1,4 @@
-"""What `track` costs beside its tracker: video in and out against the tracker alone, on one thread.
+"""Measure what `track` costs beside its tracker: video in and out against the tracker alone, on one thread.
 
     python benchmarks/following.py --models psiamfcpp-alexnet-int8 psiamfcpp-alexnet-n-int8
 

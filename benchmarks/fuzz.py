@@ -103,7 +103,7 @@ _CHANGES: tuple[Callable[[bytearray, random.Random], None], ...] = (
 
 
 def attempt(seed: Seed, place: Path, content: bytes) -> str | None:
-    """Read a file; None where the reader took or refused it as it should, and else what went wrong."""
+    """Read a file; return None where the reader read or refused it as it should, else what went wrong."""
     place.write_bytes(content)
     try:
         seed.read(place)
@@ -121,7 +121,7 @@ def case(name: str, seed: Seed, number: int) -> bytes:
 
 
 def _work(name: str, make: Callable[[Path], Seed], numbers: range, counts: Any, faults: Any) -> None:
-    """Go through cases; ``counts`` holds the number of the case at work, how many are done, and when it began."""
+    """Run cases; ``counts`` holds the number of the current case, how many are done, and when it began."""
     faulthandler.disable()
     signal.signal(signal.SIGALRM, _too_slow)
     os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
@@ -146,7 +146,7 @@ def _too_slow(*_: object) -> None:
 def run(
     name: str, make: Callable[[Path], Seed], first: int, cases: int, seconds: float = float("inf")
 ) -> tuple[int, list[tuple[int, str]]]:
-    """Go through cases of a reader, in processes of its own.
+    """Run the cases of a reader in processes of its own.
 
     Args:
         name: of the reader, from which its cases are made.

@@ -1,4 +1,4 @@
-"""How far is a model from what the processor can do? Measured peaks of onnxruntime, then each layer against them.
+"""Compare each layer of a model with what the processor reaches in a plain matrix product.
 
     python benchmarks/limit.py [MODEL] [--threads N] [--rounds 20]
 
@@ -27,7 +27,7 @@ SIDE = 512
 
 
 def peak(integers: bool, threads: int, rounds: int) -> float:
-    """Multiply-accumulates a second of a matrix product, the best of some rounds."""
+    """Return multiply-accumulates per second of a matrix product, the best of the rounds."""
     rng = np.random.default_rng(0)
     dtype, kind = (np.uint8, TensorProto.UINT8) if integers else (np.float32, TensorProto.FLOAT)
     right = rng.integers(-127, 127, (SIDE, SIDE)).astype(np.int8 if integers else np.float32)
@@ -51,7 +51,7 @@ def peak(integers: bool, threads: int, rounds: int) -> float:
 
 
 def example(session: onnxruntime.InferenceSession, size: int) -> dict[str, np.ndarray]:
-    """A search crop and kernels of noise."""
+    """Return a search crop and kernels of noise."""
     rng = np.random.default_rng(0)
     feed = {"crop": rng.integers(0, 256, (1, size, size, 3), dtype=np.uint8)}
     for value in session.get_inputs()[1:]:
@@ -60,7 +60,7 @@ def example(session: onnxruntime.InferenceSession, size: int) -> dict[str, np.nd
 
 
 def layer_macs(model: onnx.ModelProto, size: int) -> dict[str, int]:
-    """Multiply-accumulates of each convolution as the graph has it, zeros that fill up widths and kernels included."""
+    """Return multiply-accumulates of each convolution of the graph, with the zeros that fill up widths and kernels."""
     convolutions = [node for node in model.graph.node if node.op_type == "Conv"]
     wanted = [name for node in convolutions for name in (node.output[0], node.input[1])]
     looked_into = onnx.ModelProto.FromString(model.SerializeToString())
@@ -74,7 +74,7 @@ def layer_macs(model: onnx.ModelProto, size: int) -> dict[str, int]:
 
 
 def layer_times(path: Path, size: int, threads: int, rounds: int) -> dict[str, float]:
-    """Seconds of each node, the best of the rounds."""
+    """Return seconds of each node, the best of the rounds."""
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = threads
     options.log_severity_level = 3

@@ -1,4 +1,4 @@
-"""Does memory stay flat on a long stream? Follows a rendered vehicle for 20,000 frames.
+"""Show whether memory stays flat on a long stream: follow a rendered vehicle for 20,000 frames.
 
     python benchmarks/memory.py [MODEL] [--frames 20000] [--threads N]
 
@@ -17,7 +17,7 @@ from psiamfcpp.zoo import DEFAULT_MODEL
 
 
 def resident() -> float:
-    """Megabytes that the process holds now."""
+    """Return the resident memory of this process in MB."""
     pages = int(Path("/proc/self/statm").read_text().split()[1])
     return pages * resource.getpagesize() / 1e6
 
@@ -30,11 +30,11 @@ def main() -> None:
     options = parser.parse_args()
     shots = list(render(0, 30))
     before = resident()
-    # what rendering took at its highest is not the tracker's: the kernel's mark is set back
+    # the peak of rendering is not the tracker's, so the kernel's mark is reset
     Path("/proc/self/clear_refs").write_text("5")
     tracker = Tracker(options.model, threads=options.threads)
     tracker.init(shots[0].image, shots[0].box)
-    # to and fro, so that the target never jumps
+    # forwards and backwards, so that the target never jumps
     there_and_back = itertools.cycle([*shots, *shots[::-1]])
     seen = []
     for number, shot in enumerate(itertools.islice(there_and_back, options.frames), start=1):

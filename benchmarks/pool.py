@@ -1,4 +1,4 @@
-"""What several targets cost: one call of the engine a frame against a search for each.
+"""Time several targets: one call of the engine per frame against a search for each.
 
     python benchmarks/pool.py --targets 4 --threads 2
 

@@ -3,10 +3,10 @@
     python benchmarks/processors.py record here.npz [--models MODEL ...]
     python benchmarks/processors.py compare here.npz [--frames 60]
 
-`record` follows the target of the first frames of the demo. It keeps the frames, boxes and states, and the graphs'
-answers on some crops. `compare` does the same on the frames and crops of the file, and prints how far both are apart.
-It fails where the mean overlap of the boxes is below 0.98 or a state differs. Copy the file to another computer to
-compare two processors.
+`record` follows the target of the first frames of the demo. It writes the frames, boxes and states, and the graphs'
+answers on some crops. `compare` does the same on the frames and crops of the file, and prints how far the two are
+apart. It fails where the mean overlap of the boxes is below 0.98 or a state differs. To compare two processors, copy
+the file to the other computer.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ Arrays = dict[str, NDArray[Any]]
 
 
 def record(output: tyro.conf.Positional[Path], models: tuple[str, ...] = (), frames: int = 60) -> None:
-    """Follow the demo's target and write what was found.
+    """Follow the demo's target and write boxes, states and answers.
 
     Args:
         output: the file to write.
@@ -65,7 +65,7 @@ def record(output: tyro.conf.Positional[Path], models: tuple[str, ...] = (), fra
 
 
 def compare(expected: tyro.conf.Positional[Path], models: tuple[str, ...] = (), frames: int = 60) -> None:
-    """Follow the frames of a file, and print how far what is found is from what the file holds.
+    """Follow the frames of a file, and compare boxes, states and answers with those of the file.
 
     Args:
         expected: file that `record` wrote.
@@ -73,14 +73,16 @@ def compare(expected: tyro.conf.Positional[Path], models: tuple[str, ...] = (), 
         frames: number of frames to follow, from the first.
     """
     file = np.load(expected)
+    if unknown := [model for model in models if model not in _models(file)]:
+        raise UserError(f"{expected} does not hold {', '.join(unknown)}: it holds {', '.join(_models(file))}")
     _begin()
     missed = [model for model in models or _models(file) if not _agrees(file, model, frames)]
     if missed:
-        raise UserError(f"overlap below {_LEAST_OVERLAP} or other states: {', '.join(missed)}")
+        sys.exit(f"overlap below {_LEAST_OVERLAP} or other states: {', '.join(missed)}")
 
 
 def _begin() -> None:
-    """Name the processor."""
+    """Print the processor's name."""
     facts = machine()
     print(f"{facts['cpu']}, {' '.join(facts['flags'])}, onnxruntime {onnxruntime.__version__}", flush=True)
 
@@ -93,21 +95,22 @@ def _agrees(file: NpzFile, model: str, frames: int) -> bool:
     """Compare one model and print a line; tell whether it is within the limits."""
     kept = {name: file[f"{model}/{name}"] for name in ("boxes", "states", "template", "searches", "scores", "cells")}
     engine = open_engine(model, "onnx", threads=1)
-    found = _follow(engine, file["frames"][:frames], file["truth"])
+    truth = file["truth"][:frames]
+    found = _follow(engine, file["frames"][:frames], truth)
     shared = overlap(kept["boxes"][:frames], found["boxes"])
     same = kept["states"][:frames] == found["states"]
     pairs = [Pair(kept["template"], search) for search in kept["searches"]]
     difference = compare_answers(list(zip(kept["scores"], kept["cells"], strict=True)), look(engine, pairs))
     print(
         f"{model}: mean overlap {shared.mean():.4f}, least {shared.min():.4f}, states equal in {same.sum()} of "
-        f"{len(same)} frames; graphs on {len(pairs)} crops: {difference}",
+        f"{len(same)} frames; {_scale(found['boxes'], truth)}; graphs on {len(pairs)} crops: {difference}",
         flush=True,
     )
     return bool(shared.mean() >= _LEAST_OVERLAP and same.all())
 
 
 def _follow(engine: Engine, images: NDArray[np.uint8], truth: NDArray[np.float64]) -> Arrays:
-    """Boxes ``(N, 4)`` and states ``(N,)`` of the target that the first box shows."""
+    """Return boxes ``(N, 4)`` and states ``(N,)`` of the target that the first box shows."""
     tracker = Tracker(engine=engine)
     tracks = [tracker.init(images[0], truth[0]), *(tracker.update(image) for image in images[1:])]
     return {
@@ -117,7 +120,7 @@ def _follow(engine: Engine, images: NDArray[np.uint8], truth: NDArray[np.float64
 
 
 def _pairs(engine: Engine, images: NDArray[np.uint8], truth: NDArray[np.float64]) -> list[Pair]:
-    """The first template with search crops about the true places of every eighth frame."""
+    """Return the first template with search crops about the true places in every eighth frame."""
     spec = engine.spec
     procedure: Procedure = opened(spec.arch.procedure)
     fill, size = procedure.fill(images[0]), spec.template_size
@@ -136,4 +139,5 @@ if __name__ == "__main__":
     try:
         tyro.extras.subcommand_cli_from_dict({"record": record, "compare": compare})
     except UserError as error:
-        sys.exit(str(error))
+        print(f"processors.py: {error}", file=sys.stderr)
+        sys.exit(2)

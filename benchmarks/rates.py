@@ -1,11 +1,11 @@
-"""Rates of the correlation filters beside OpenCV's TrackerMIL and NanoTrack, in the same rounds.
+"""Time the correlation filters beside OpenCV's TrackerMIL and NanoTrack, in the same rounds.
 
     python benchmarks/rates.py --root SEQUENCES [SEQUENCES ...] --sequences NAME [NAME ...]
         [--beside opencv:mil nanotrack:v3,backbone=FILE,head=FILE]
 
-Every frame is decoded once and given to each tracker in turn, so that whatever else the machine does falls on all
-alike. Times are of `update` alone, on one thread, in seconds of processor time; the first update, which compiles and
-allocates, does not count. Prints updates per second and, for each tracker of --beside, how many times its rate that is.
+Every frame is decoded once and given to each tracker in turn, so that other load on the machine slows all alike. Times
+are of `update` alone, on one thread, in seconds of processor time; the first update, which compiles and allocates, does
+not count. Prints updates per second and, for each tracker of --beside, how many times its rate that is.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from psiamfcpp.trackers.dcf import FILTERS
 
 
 def rates(names: list[str], sequence: Sequence, frames: int) -> dict[str, float]:
-    """Updates per second of processor time of each tracker on the first frames of a sequence."""
+    """Return updates per second of processor time of each tracker on the first frames of a sequence."""
     trackers = {name: open_tracker(name, TrackerOptions(threads=1)) for name in names}
     seconds: dict[str, list[float]] = {name: [] for name in names}
     store = FrameStore()

@@ -1,10 +1,10 @@
-"""How a tracker fares when it begins elsewhere: later in a sequence, and from boxes that are slightly off.
+"""Evaluate a tracker from other starts: later in a sequence, and from boxes that are slightly off.
 
     python benchmarks/robustness.py MODEL [OTHER] --root SEQUENCES [SEQUENCES ...] [--states]
 
-One pass from the first frame turns on chance where look-alikes are near. So each sequence is followed once from its
-first box, and seven times more: three times whole, twice from a quarter on and twice from the half, each from a box
-whose place and sides are off by up to 5 % (a short form of the temporal and spatial robustness evaluation of Wu et al.
+Where similar objects are near, one pass from the first frame depends on chance. So each sequence is followed once from
+its first box, and seven times more: three times whole, twice from a quarter on and twice from the half. Place and sides
+of these seven boxes are off by up to 5 % (a short form of the temporal and spatial robustness evaluation of Wu et al.
 2013). The starts are the same for every model. Prints precision/AUC of each sequence in the `otb` convention: of the
 single pass, of the seven in the mean, and of each. Below stand the means over sequences with 95 % bootstrap intervals,
 sequences drawn with replacement; for two models, also the second less the first, sequence by sequence.
@@ -64,7 +64,7 @@ def main(
 
 
 def _followed(tracker: Tracker, sequence: Sequence) -> FloatArray:
-    """Precision and AUC of the single pass and of the seven, ``(2, 2)``, printed on the way."""
+    """Return and print precision and AUC of the single pass and of the seven, ``(2, 2)``."""
     rng = np.random.default_rng(zlib.crc32(sequence.name.encode()))
     single = _score(tracker, sequence, 0.0, None)
     passes = [_score(tracker, sequence, begin, rng) for begin in _BEGIN]
@@ -74,7 +74,7 @@ def _followed(tracker: Tracker, sequence: Sequence) -> FloatArray:
 
 
 def _score(tracker: Tracker, sequence: Sequence, begin: float, rng: np.random.Generator | None) -> tuple[float, float]:
-    """Precision and AUC from a share of the sequence on; without a generator, from the label itself."""
+    """Return precision and AUC from a share of the sequence on; without a generator, from the label itself."""
     sequence = _from(sequence, int(begin * len(sequence)))
     sequence = _from(sequence, first_label(sequence))
     given = sequence.boxes.copy()
@@ -91,7 +91,7 @@ def _from(sequence: Sequence, start: int) -> Sequence:
 
 
 def _print_means(name: str, figures: FloatArray) -> None:
-    """Means over sequences of figures ``(n, 2, 2)`` with their intervals."""
+    """Print means over sequences of figures ``(n, 2, 2)`` with their intervals."""
     for row, kind in enumerate(("single pass", "seven starts")):
         parts = []
         for column, what in enumerate(("precision", "AUC")):
@@ -101,7 +101,7 @@ def _print_means(name: str, figures: FloatArray) -> None:
 
 
 def interval(figures: FloatArray) -> tuple[float, float]:
-    """The 95 % bootstrap interval of the mean of ``(n,)`` figures; the same figures give the same interval."""
+    """Return the 95 % bootstrap interval of the mean of ``(n,)`` figures; the same figures give the same interval."""
     drawn = np.random.default_rng(0).integers(len(figures), size=(_RESAMPLES, len(figures)))
     low, high = np.percentile(figures[drawn].mean(axis=1), [2.5, 97.5])
     return float(low), float(high)

@@ -1,8 +1,8 @@
-"""Loads that must keep no operator out, and how long one waits under each; used by `serve_soak.py`.
+"""Load a server in ways that must keep no operator out, and time an operator meanwhile; used by `serve_soak.py`.
 
     python benchmarks/serve_loads.py silent_burst 127.0.0.1 8000 14580 10
 
-runs one load by itself, in a process of its own so that it takes no time from who measures. For this machine only.
+runs one load alone, in a process of its own, which leaves the measuring process undisturbed. Loopback addresses only.
 """
 
 from __future__ import annotations
@@ -28,28 +28,28 @@ _MOST_SOCKETS = 1500
 
 
 def silent_burst(host: str, port: int, _: int, seconds: float) -> None:
-    """1,500 connections that say nothing, at once, and again as they are closed."""
+    """Open 1,500 silent connections at once, and replace those that are closed."""
     _hold(host, port, seconds, _MOST_SOCKETS, 0.0, b"")
 
 
 def silent_rate(host: str, port: int, _: int, seconds: float) -> None:
-    """100 connections a second that say nothing."""
+    """Open 100 silent connections a second."""
     _hold(host, port, seconds, _MOST_SOCKETS, 0.01, b"")
 
 
 def slow_bodies(host: str, port: int, _: int, seconds: float) -> None:
-    """75 logins whose body comes a byte every 5 s."""
+    """Send 75 logins whose bodies come at a byte every 5 s."""
     head = b"POST /api/login HTTP/1.1\r\nHost: x\r\nContent-Type: application/json\r\nContent-Length: 16000\r\n\r\n"
     _hold(host, port, seconds, 75, 0.02, head, b" ")
 
 
 def slow_headers(host: str, port: int, _: int, seconds: float) -> None:
-    """300 requests whose headers come a byte every 5 s."""
+    """Send 300 requests whose headers come at a byte every 5 s."""
     _hold(host, port, seconds, 300, 0.005, b"GET /api/state HTTP/1.1\r\nHost: x\r\nX-Long: ", b"a")
 
 
 def guesses(host: str, port: int, _: int, seconds: float) -> None:
-    """Wrong tokens, as fast as they are refused."""
+    """Send wrong tokens as fast as they are refused."""
     end = time.monotonic() + seconds
     for number in itertools.count():
         if time.monotonic() > end:
@@ -62,7 +62,7 @@ def guesses(host: str, port: int, _: int, seconds: float) -> None:
 
 
 def heartbeats(_: str, __: int, mavlink_port: int, seconds: float) -> None:
-    """3,000 heartbeats a second of another station."""
+    """Send 3,000 heartbeats a second of another station."""
     coder = mav.MAVLink(None, 200, 190)
     message = mav.MAVLink_heartbeat_message(mav.MAV_TYPE_GCS, mav.MAV_AUTOPILOT_INVALID, 0, 0, mav.MAV_STATE_ACTIVE, 3)
     packet = bytes(message.pack(coder))
@@ -75,29 +75,29 @@ def heartbeats(_: str, __: int, mavlink_port: int, seconds: float) -> None:
 
 
 def small_chunks(host: str, port: int, _: int, seconds: float) -> None:
-    """20 bodies without end, in chunks of a byte."""
+    """Send 20 endless bodies in chunks of a byte."""
     head = b"POST /api/login HTTP/1.1\r\nHost: x\r\nTransfer-Encoding: chunked\r\n\r\n"
     _pour(host, port, seconds, head, b"1\r\n \r\n" * 2000)
 
 
 def unread_answers(host: str, port: int, _: int, seconds: float) -> None:
-    """20 connections that make requests, and read no answer."""
+    """Send requests on 20 connections, and read no answer."""
     _pour(host, port, seconds, b"", b"GET /page.js HTTP/1.1\r\nHost: x\r\n\r\n" * 500)
 
 
 def cookies(host: str, port: int, _: int, seconds: float) -> None:
-    """Requests with a cookie of 60,000 backslashes."""
+    """Send requests with a cookie of 60,000 backslashes."""
     cookie = b'Cookie: psiamfcpp_token="' + b"\\" * 60_000 + b'"\r\n'
     _ask(host, port, seconds, b"GET /api/state HTTP/1.1\r\nHost: x\r\n" + cookie + b"\r\n", reset=False)
 
 
 def resets(host: str, port: int, _: int, seconds: float) -> None:
-    """Requests whose connections are reset at once."""
+    """Send requests, and reset their connections at once."""
     _ask(host, port, seconds, b"GET /page.js HTTP/1.1\r\nHost: x\r\n\r\n", reset=True)
 
 
 def many_stations(_: str, __: int, mavlink_port: int, seconds: float) -> None:
-    """1,000 commands per second, each from one of 200 ports."""
+    """Send 1,000 commands a second, each from one of 200 ports."""
     coder = mav.MAVLink(None, 201, 190)
     params = (mav.MAVLINK_MSG_ID_CAMERA_SETTINGS, 0, 0, 0, 0, 0, 0)
     packet = bytes(mav.MAVLink_command_long_message(1, 100, mav.MAV_CMD_REQUEST_MESSAGE, 0, *params).pack(coder))
@@ -129,7 +129,7 @@ LOADS: dict[str, Callable[[str, int, int, float], None]] = {
 
 
 def _pour(host: str, port: int, seconds: float, head: bytes, again: bytes) -> None:
-    """Send on 20 connections as much as they take, and make new ones of those that are closed."""
+    """Send on 20 connections as much as they accept, and replace those that are closed."""
     end = time.monotonic() + seconds
     held: list[socket.socket] = []
     while time.monotonic() < end:
@@ -152,7 +152,7 @@ def _pour(host: str, port: int, seconds: float, head: bytes, again: bytes) -> No
 
 
 def _ask(host: str, port: int, seconds: float, request: bytes, reset: bool) -> None:
-    """Make requests as fast as they can be made; what is not reset waits for its answer."""
+    """Send requests as fast as possible; those that are not reset wait for their answer."""
     end = time.monotonic() + seconds
     while time.monotonic() < end:
         with contextlib.suppress(OSError), socket.create_connection((host, port), timeout=2) as one:
@@ -164,7 +164,7 @@ def _ask(host: str, port: int, seconds: float, request: bytes, reset: bool) -> N
 
 
 def _hold(host: str, port: int, seconds: float, count: int, pause_s: float, begun: bytes, more: bytes = b"") -> None:
-    """Keep up to so many connections, each begun in a way, for a time."""
+    """Hold up to so many connections open for a time."""
     end, held = time.monotonic() + seconds, []
     at = time.monotonic()
     while time.monotonic() < end:
@@ -198,7 +198,7 @@ def _goes_on(one: socket.socket, more: bytes) -> bool:
 
 
 def measure(load: str, address: str, mavlink_port: int, token: str, seconds: float) -> dict[str, Any]:
-    """How an operator with the token fares under a load: requests on connections of their own, socket, MAVLink."""
+    """Measure an operator with the token under a load: requests on new connections, WebSocket, MAVLink."""
     host, port = address.split(":")
     known = {"Authorization": f"Bearer {token}"}
     command = [sys.executable, __file__, load, host, port, str(mavlink_port), str(seconds)]
@@ -244,7 +244,7 @@ def _watch(address: str, known: dict[str, str], gaps: list[float], done: threadi
 
 
 class _Station:
-    """A ground station that asks for a message and counts whether the answer comes within a second."""
+    """Ask for messages as a ground station, and count the answers that come within a second."""
 
     def __init__(self, port: int):
         self._coder, self._parser = mav.MAVLink(None, 255, 190), mav.MAVLink(None)
@@ -276,5 +276,5 @@ class _Station:
 if __name__ == "__main__":
     name, host, port, mavlink_port, seconds = sys.argv[1:]
     if not ipaddress.ip_address(host).is_loopback:
-        sys.exit("for this machine only")
+        sys.exit("loopback addresses only: a server on this computer")
     LOADS[name](host, int(port), int(mavlink_port), float(seconds))

@@ -1,4 +1,4 @@
-"""Does the server stay as it is? Clients that come, go, sleep and attack, for as long as asked.
+"""Show whether the server stays stable under clients that connect, leave, sleep and attack.
 
     python benchmarks/serve_soak.py --minutes 10 --model siamfcpp-alexnet
 
@@ -53,7 +53,7 @@ def main(
     mavlink_port: int = 14580,
     load_seconds: float = 15.0,
 ) -> None:
-    """Run it and print what was seen.
+    """Run the loads and print one JSON object.
 
     Args:
         minutes: how long to watch after the connects.
@@ -93,7 +93,7 @@ def main(
 
 
 def under_loads(address: str, process: int, mavlink_port: int, seconds: float) -> dict[str, Any]:
-    """How an operator fares under each load, and what the server takes up meanwhile."""
+    """Measure the operator's waits and the server's resources under each load."""
     found: dict[str, Any] = {}
     for load in LOADS if seconds else ():
         samples: list[dict[str, float]] = []
@@ -113,7 +113,7 @@ def under_loads(address: str, process: int, mavlink_port: int, seconds: float) -
 
 
 def soak(address: str, process: int, minutes: float, connects: int, mavlink_port: int) -> dict[str, Any]:
-    """Everything against one server; what was seen."""
+    """Run all clients against one server; return the measurements."""
     done = threading.Event()
     latencies: list[float] = []
     trackers: list[float] = []
@@ -159,7 +159,7 @@ def soak(address: str, process: int, minutes: float, connects: int, mavlink_port
 
 
 def watch(address: str, done: threading.Event, latencies: list[float], trackers: list[float]) -> None:
-    """A page: takes every picture, and starts a target whenever there is none."""
+    """Read every image as the page does, and start a target whenever there is none."""
     with connect(f"ws://{address}/api/live?client=watcher", additional_headers=KNOWN, max_size=None) as client:
         client.send('{"type": "frame"}')
         while not done.is_set():
@@ -178,7 +178,7 @@ def watch(address: str, done: threading.Event, latencies: list[float], trackers:
 
 
 def dawdle(address: str, done: threading.Event, refusals: dict[str, int]) -> None:
-    """A client that takes ten messages a second of the many more that are meant for it, and all pictures it can get."""
+    """Read ten messages a second of the many more that are sent, as a slow client."""
     with connect(
         f"ws://{address}/api/live", additional_headers=KNOWN, max_size=None, max_queue=1, ping_interval=None
     ) as client:
@@ -194,7 +194,7 @@ def dawdle(address: str, done: threading.Event, refusals: dict[str, int]) -> Non
 
 
 def touch(address: str, abrupt: bool) -> None:
-    """Connect, take a picture and leave, with a word or without."""
+    """Connect, read an image and leave, with a close message or without."""
     client = connect(f"ws://{address}/api/live", additional_headers=KNOWN).__enter__()
     client.send('{"type": "frame"}')
     client.recv(timeout=60)
@@ -206,7 +206,7 @@ def touch(address: str, abrupt: bool) -> None:
 
 
 def attack(address: str, mavlink_port: int, refusals: dict[str, int]) -> None:
-    """What must be refused; counts how it was."""
+    """Send what must be refused, and count the refusals."""
 
     def count(what: object) -> None:
         refusals[str(what)] = refusals.get(str(what), 0) + 1
@@ -240,7 +240,7 @@ def attack(address: str, mavlink_port: int, refusals: dict[str, int]) -> None:
 
 
 def sample(process: int) -> dict[str, float]:
-    """Resident memory in MiB, threads, open files and sockets of a process now."""
+    """Return resident memory in MiB, threads, open files and sockets of a process."""
     status = Path(f"/proc/{process}/status").read_text()
     links = []
     for link in Path(f"/proc/{process}/fd").iterdir():

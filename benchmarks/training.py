@@ -1,4 +1,4 @@
-"""Cost of a training pair, by versions of settings that take turns in one process, so that other load hits all alike.
+"""Time a training pair for versions of settings that take turns in one process, so that other load slows all alike.
 
     python benchmarks/training.py --data LAYOUT:FOLDER [LAYOUT:FOLDER ...]
 
@@ -99,7 +99,7 @@ def main(
 
 
 def _compare(versions: dict[str, Callable[[], object]], rounds: int, pairs: int) -> None:
-    """Milliseconds of processor time a pair, the median of rounds in turn, after one that does not count."""
+    """Return milliseconds of processor time per pair: the median over rounds; the first round does not count."""
     spent: dict[str, list[float]] = {name: [] for name in versions}
     for number in range(rounds + 1):
         for name, run in versions.items():
@@ -117,7 +117,7 @@ def _compare(versions: dict[str, Callable[[], object]], rounds: int, pairs: int)
 
 
 def _step(version: Version, name: str, batch: Batch) -> Callable[[], object]:
-    """One step of a version, on a network of its own."""
+    """Return the step of a version, on a network of its own."""
     model = _network(name, version)
     teacher = open_teacher(name, torch.device("cpu")) if version.teacher == "live" else None
     if version.teacher == "stored":

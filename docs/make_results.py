@@ -1,12 +1,14 @@
-"""Keep the figures of the project in docs/results.csv, and make the page docs/results.md of them.
+"""Keep the figures of the project in docs/results.csv, and make docs/results.md and its picture of them.
 
     psiamfcpp evaluate --root SEVEN --tracker MODEL --threads 1 --json > seven.json
     python docs/make_results.py add seven.json --set seven --procedure states \
         --command "psiamfcpp evaluate --root SEVEN --tracker MODEL"
+    psiamfcpp bench --threads 1 --engines onnx --json > times.json
+    python docs/make_results.py add times.json --set avx2 --command "psiamfcpp bench --engines onnx"
     python docs/make_results.py write
 
-Each row of the table is one figure with the command that prints it. `add` replaces the figures of the same set, tracker
-and procedure. Tests compare page, README and model cards with the table.
+Each row of the table is one figure with the command that prints it. `add` replaces the same figures of the same set,
+tracker and procedure. Tests compare page, README and model cards with the table.
 """
 
 from __future__ import annotations
@@ -22,9 +24,11 @@ import tyro
 
 from psiamfcpp.errors import UserError
 from psiamfcpp.files import read_json, read_text, write_whole
+from psiamfcpp.zoo import graph_names
 
 TABLE = Path(__file__).with_name("results.csv")
 PAGE = Path(__file__).with_name("results.md")
+CHART = Path(__file__).with_name("images") / "precision-time.svg"
 # What stands before and after the part of the page that is made.
 BEGIN, END = "<!-- made by docs/make_results.py -->\n", "<!-- end -->\n"
 
@@ -42,9 +46,21 @@ SETS = {
         "Time of an update",
         "Milliseconds, the median; two threads on an AMD EPYC with VNNI ([speed](speed.md)).",
     ),
+    "avx2": (
+        "Time of an update without VNNI",
+        "Milliseconds, the median, on an AMD EPYC with AVX2 but no VNNI, where products of 8 bits take more\n"
+        "instructions. KCF and CSRT were timed in a run of their own.",
+    ),
 }
 """title and description of each set of figures, by name"""
-_TITLES = {"precision": "precision", "auc": "AUC", "ms": "ms"}
+_TITLES = {"precision": "precision", "auc": "AUC", "ms": "ms", "ms1": "ms, one thread", "ms2": "ms, two threads"}
+# What `bench` calls trackers of others, and what the tables do.
+_NAMES = {
+    "TrackerNano": "NanoTrack v2",
+    "nanotrack-v3": "NanoTrack v3",
+    "lightfc-float": "LightFC",
+    **{f"Tracker{name}": name for name in ("MIL", "KCF", "CSRT")},
+}
 
 
 class Figure(NamedTuple):
@@ -55,44 +71,60 @@ class Figure(NamedTuple):
     procedure: str
     """``states`` or ``plain`` of our models; empty for others"""
     figure: str
-    """``precision``, ``auc`` or ``ms``"""
+    """``precision``, ``auc``; ``ms``, or ``ms1`` and ``ms2`` by the number of threads"""
     value: str
     """as it is shown"""
     command: str
 
 
-def add(files: tyro.conf.Positional[tuple[Path, ...]], set: str, procedure: str, command: str) -> None:
+class Point(NamedTuple):
+    """A tracker in the picture."""
+
+    tracker: str
+    ms: float
+    precision: float
+
+
+def add(files: tyro.conf.Positional[tuple[Path, ...]], set: str, command: str, procedure: str = "") -> None:
     """Put the figures of runs into the table.
 
     Args:
-        files: what `psiamfcpp evaluate --json` printed; the means are over the sequences of all.
-        set: fifteen or seven.
-        procedure: states or plain; an empty text for trackers of others.
+        files: what `psiamfcpp evaluate --json` printed, whose means are over the sequences of all files, or what
+            `psiamfcpp bench --json` printed.
+        set: name of the set: fifteen, seven, avx2.
         command: the command, with MODEL for the tracker.
+        procedure: states or plain; empty for trackers of others. Of a bench it is known.
     """
     if set not in SETS:
         raise UserError(f"unknown set {set!r}: known are {', '.join(SETS)}")
-    found: dict[str, list[dict[str, float]]] = {}
+    found: list[tuple[str, str, str, str]] = []
+    sequences: dict[str, list[dict[str, float]]] = {}
     for path in files:
-        for row in read_json(path, "figures")["results"]:
+        run = read_json(path, "figures")
+        for row in run.get("rows", []):
+            tracker, ours = _NAMES.get(row["model"], row["model"]), row["model"] in graph_names()
+            found.append((tracker, "plain" if ours else "", f"ms{run['threads']}", f"{row['ms_median']:.1f}"))
+        for row in run.get("results", []):
             if row["convention"] == "otb":
-                found.setdefault(row["tracker"], []).extend(row["sequences"].values())
-    figures = read()
-    for tracker, sequences in found.items():
-        figures = [f for f in figures if (f.set, f.tracker, f.procedure) != (set, tracker, procedure)]
+                sequences.setdefault(row["tracker"], []).extend(row["sequences"].values())
+    for tracker, rows in sequences.items():
         for name in ("precision", "auc"):
-            mean = np.mean([sequence[name] for sequence in sequences])
-            figures.append(Figure(set, tracker, procedure, name, f"{mean:.3f}", command.replace("MODEL", tracker)))
+            found.append((tracker, procedure, name, f"{np.mean([row[name] for row in rows]):.3f}"))
+    figures = {figure[:4]: figure for figure in read()}
+    for row_tracker, row_procedure, name, value in found:
+        figure = Figure(set, row_tracker, row_procedure, name, value, command.replace("MODEL", row_tracker))
+        figures[figure[:4]] = figure
     written = io.StringIO()
-    rows = csv.writer(written, lineterminator="\n")
-    rows.writerow(Figure._fields)
-    rows.writerows(figures)
+    rows_out = csv.writer(written, lineterminator="\n")
+    rows_out.writerow(Figure._fields)
+    rows_out.writerows(figures.values())
     write_whole(TABLE, written.getvalue().encode())
 
 
 def write() -> None:
-    """Write the tables of the page; the rest of it stays."""
+    """Write the tables of the page, whose other text stays, and the picture."""
     write_whole(PAGE, page(read_text(PAGE, "page")).encode())
+    write_whole(CHART, chart(points()))
 
 
 def read() -> list[Figure]:
@@ -122,6 +154,54 @@ def table(name: str) -> str:
         values = " | ".join(of_row[kind].value for kind in kinds)
         lines += [f"| `{tracker}` | {procedure} | {values} | `{of_row[kinds[0]].command}` |"]
     return "\n".join(lines) + "\n"
+
+
+def points() -> list[Point]:
+    """Return what the picture shows: trackers whose precision on the fifteen and whose time without VNNI are known."""
+    known = {(figure.set, figure.tracker, figure.procedure, figure.figure): float(figure.value) for figure in read()}
+    times = {tracker: ms for (name, tracker, _, kind), ms in known.items() if (name, kind) == ("avx2", "ms1")}
+    found = []
+    for tracker, ms in times.items():
+        keys = [("fifteen", tracker, procedure, "precision") for procedure in ("states", "")]
+        found += [Point(tracker, ms, known[key]) for key in keys if key in known]
+    return found
+
+
+def front(points: list[Point]) -> list[Point]:
+    """Return those that no other beats in both time and precision, the fastest first."""
+    found: list[Point] = []
+    for point in sorted(points, key=lambda point: (point.ms, -point.precision)):
+        if not found or point.precision > found[-1].precision:
+            found.append(point)
+    return found
+
+
+def chart(points: list[Point]) -> bytes:
+    """Return precision against time as SVG; a line joins the front."""
+    import matplotlib
+
+    matplotlib.use("svg")
+    from matplotlib import pyplot as plt
+
+    # Text stays text, which the fonts of the reader draw; ids come from the salt: equal figures, equal files.
+    plt.rcParams.update({"svg.fonttype": "none", "svg.hashsalt": "precision-time"})
+    figure, axes = plt.subplots(figsize=(7.2, 3.8), layout="constrained")
+    best = front(points)
+    axes.plot([p.ms for p in best], [p.precision for p in best], color="#1b7f5c", linewidth=1.2, zorder=1)
+    for name, ms, precision in points:
+        ours = name.endswith("-int8")
+        axes.scatter(ms, precision, s=40, color="#1b7f5c" if ours else "#888888", zorder=2)
+        axes.annotate(name, (ms, precision), xytext=(5, 5), textcoords="offset points", fontsize=8)
+    axes.set_xscale("log")
+    axes.set_xticks([2, 5, 10, 20, 50], ["2", "5", "10", "20", "50"])
+    axes.set_xlabel("milliseconds an update, one thread without VNNI")
+    axes.set_ylabel("precision on the fifteen")
+    axes.grid(alpha=0.25)
+    axes.margins(x=0.16, y=0.1)
+    written = io.BytesIO()
+    figure.savefig(written, format="svg", metadata={"Date": None})
+    plt.close(figure)
+    return written.getvalue()
 
 
 if __name__ == "__main__":

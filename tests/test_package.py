@@ -103,3 +103,13 @@ def test_every_public_name_is_there_and_no_other() -> None:
     assert set(psiamfcpp.__all__) <= set(dir(psiamfcpp))
     with pytest.raises(AttributeError, match="has no attribute 'Trakcer'"):
         _ = psiamfcpp.Trakcer  # type: ignore[attr-defined]
+
+
+@pytest.mark.slow
+def test_no_telemetry(tmp_path: Path) -> None:
+    # onnxruntime would write an identifier to the home folder; on machines of CI it writes none.
+    kept = {name: value for name, value in os.environ.items() if name not in ("CI", "ORT_DISABLE_TELEMETRY")}
+    home = {**kept, "HOME": str(tmp_path), "PYTHONPATH": SOURCE}
+    code = "import psiamfcpp; psiamfcpp.Tracker('psiamfcpp-alexnet-n-int8')"
+    subprocess.run([sys.executable, "-c", code], env=home, check=True)
+    assert not list(tmp_path.rglob("*onnxruntime*"))

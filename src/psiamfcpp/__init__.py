@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import importlib
+import os
 from typing import TYPE_CHECKING, Any
 
 from psiamfcpp.version import __version__
+
+# Otherwise onnxruntime sends telemetry, and writes an identifier to the home folder. Whoever sets it decides.
+os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")
 
 if TYPE_CHECKING:
     from psiamfcpp.errors import UserError

@@ -15,16 +15,16 @@ from pathlib import Path
 import pytest
 
 import psiamfcpp
-from psiamfcpp.cli import COMMANDS, _gathered, _parse
+from psiamfcpp.cli import COMMANDS, _gathered, _one_line, _parse
 from psiamfcpp.cli.examples import EXAMPLES, GROUPS
 from psiamfcpp.errors import UserError
 
 from .conftest import Run
 
 REQUIRED = {
-    "track": "STR",
-    "info": "STR",
-    "serve": "STR",
+    "track": "SOURCE",
+    "info": "MODEL",
+    "serve": "SOURCE",
     "evaluate": "--root",
     "score": "--annotations",
     "report": "--output",
@@ -203,3 +203,9 @@ def test_what_a_library_makes_of_an_interruption_is_an_interruption(run: Run, mo
     finally:
         signal.signal(signal.SIGINT, before)
     assert (ended.code, ended.out, ended.err) == (130, "", "psiamfcpp: interrupted\n")
+
+
+@pytest.mark.parametrize("rule", ["\u2500", "-"])
+def test_a_complaint_is_one_line_without_its_frame(rule: str) -> None:
+    panel = f"{rule * 3} Parsing error {rule * 3}\n{rule * 40}\nunknown --a-b\n{rule * 40}\nrun --help\n"
+    assert _one_line(panel) == "unknown --a-b run --help"

@@ -14,11 +14,11 @@ import numpy as np
 import pytest
 
 from psiamfcpp.errors import UserError
-from psiamfcpp.serve.choose import Chosen, choose
+from psiamfcpp.serve.choose import Chosen, _Live, choose
 from psiamfcpp.video.source import Source, open_source
 from psiamfcpp.video.writer import VideoWriter
 
-from .conftest import BLOB, HEIGHT, WIDTH, Stream, until
+from .conftest import BLOB, HEIGHT, TIMEOUT_S, WIDTH, Stream, until
 
 COUNT = 130
 
@@ -220,17 +220,22 @@ def test_a_frame_of_a_live_source_that_is_gone_is_refused(stream: Stream, monkey
     running.end()
 
 
-def test_a_live_source_that_breaks_off_is_said(stream: Stream) -> None:
+def test_a_live_source_that_breaks_off_is_said(stream: Stream, monkeypatch: pytest.MonkeyPatch) -> None:
     running = Choosing(stream.open(print))
     running.enter()
     running.frame(after=0)
-    stream.broken = True
+    get_after = _Live.get_after
 
-    def refused() -> Any:
-        answer = running.http.get("/api/frame", params={"after": 10**9})
-        return answer.status_code == 422 and answer.json()["error"]
+    # The server ends as soon as the source breaks: it must not break before the request has arrived.
+    def breaking(self: _Live, number: int) -> tuple[int, Any]:
+        stream.broken = True
+        return get_after(self, number)
 
-    assert until(refused) == "stream test broke off"
+    monkeypatch.setattr(_Live, "get_after", breaking)
+    monkeypatch.setattr("psiamfcpp.serve.choose._NEW_FRAME_S", TIMEOUT_S)
+    answer = running.http.get("/api/frame", params={"after": 10**9})
+    assert answer.status_code == 422
+    assert answer.json()["error"] == "stream test broke off"
     running.thread.join(60)
     assert isinstance(running.error, UserError)
     running.http.close()

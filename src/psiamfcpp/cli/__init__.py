@@ -205,7 +205,8 @@ def _deferred(function: Callable[..., None]) -> Callable[..., Callable[[], None]
 def _one_line(panel: str) -> str:
     """Return tyro's framed complaint as one line, without the help that it repeats."""
     panel = panel.partition("Argument helptext:")[0]
-    lines = [re.sub(r"[\u2500-\u257f]", " ", line).strip() for line in panel.splitlines()]
+    # the frame is of hyphens where the terminal shows no other character
+    lines = [re.sub(r"[\u2500-\u257f]|^-+$", " ", line.strip()).strip() for line in panel.splitlines()]
     return " ".join(line for line in lines[1:] if line)
 
 

@@ -7,7 +7,10 @@ from typing import Annotated
 
 import tyro
 
-Model = Annotated[str, tyro.conf.Positional, tyro.conf.arg(help="name of a shipped model, or a model file")]
+Model = Annotated[
+    str, tyro.conf.Positional, tyro.conf.arg(metavar="MODEL", help="name of a shipped model, or a model file")
+]
+SourceName = Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="SOURCE")]
 Output = Annotated[Path, tyro.conf.arg(aliases=["-o"])]
 HeldOut = Annotated[
     int,

@@ -42,7 +42,7 @@ def demo(
     The clip itself is written beside the video, as NAME-clip, and the command that follows its target is printed.
 
     Args:
-        output: video to write, with box, state and score.
+        output: video to write, with box, state and score; demo.mp4 is replaced without asking.
         model: name of a shipped model, or a model file.
         frames: length of the clip.
         seed: seed of land, traffic and camera.

@@ -14,7 +14,9 @@ from psiamfcpp.recipes.info import info as describe
 Described = Annotated[
     str,
     tyro.conf.Positional,
-    tyro.conf.arg(help="a shipped model, a model file, a folder of graphs, or any other tracker, as opencv:mil"),
+    tyro.conf.arg(
+        metavar="MODEL", help="a shipped model, a model file, a folder of graphs, or any other tracker, as opencv:mil"
+    ),
 ]
 
 

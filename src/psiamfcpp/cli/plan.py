@@ -7,14 +7,14 @@ from typing import Annotated, Literal
 
 import tyro
 
-from psiamfcpp.cli.arguments import HeldOut, Json, Overwrite
+from psiamfcpp.cli.arguments import HeldOut, Json, Overwrite, SourceName
 from psiamfcpp.cli.output import check_new, print_json, watching
 from psiamfcpp.errors import UserError
 from psiamfcpp.files import check_outputs
 
 
 def plan(
-    source: tyro.conf.Positional[str],
+    source: SourceName,
     criterion: str = "rank",
     ranks: Path | None = None,
     data: tuple[str, ...] = (),

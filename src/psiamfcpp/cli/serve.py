@@ -10,8 +10,7 @@ import tempfile
 from collections.abc import Callable
 from pathlib import Path
 
-import tyro
-
+from psiamfcpp.cli.arguments import SourceName
 from psiamfcpp.cli.output import notes, progress
 from psiamfcpp.demo.clip import render
 from psiamfcpp.errors import UserError
@@ -25,7 +24,7 @@ _DEMO_FRAMES, _DEMO_FPS, _DEMO_SIZE = 300, 30.0, (1280, 720)
 
 
 def serve(
-    source: tyro.conf.Positional[str],
+    source: SourceName,
     host: str = "127.0.0.1",
     port: int = 8000,
     token: str | None = None,

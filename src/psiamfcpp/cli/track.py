@@ -9,7 +9,7 @@ from typing import Annotated, Any
 
 import tyro
 
-from psiamfcpp.cli.arguments import Overwrite
+from psiamfcpp.cli.arguments import Overwrite, SourceName
 from psiamfcpp.cli.output import check_new, notes, parse_box, print_json, progress, say_of_video
 from psiamfcpp.cli.targets import check_way, find_targets, write_frame
 from psiamfcpp.errors import UserError
@@ -28,7 +28,7 @@ from psiamfcpp.zoo import DEFAULT_MODEL
 
 
 def track(
-    source: tyro.conf.Positional[str],
+    source: SourceName,
     box: tyro.conf.UseAppendAction[list[str]],
     select: bool = False,
     frame: Path | None = None,

@@ -21,7 +21,7 @@ def trax(
 
     Args:
         model: name of a shipped model, or a model file.
-        engine: what runs the network; by default the fastest there is.
+        engine: what runs the network: onnx, openvino or torch; by default onnx for graphs and torch for a checkpoint.
         threads: threads of the tracker; by default all cores.
         search_size: side of the search crop in pixels.
         plain: the published procedure, without states and without search for a lost target.

@@ -44,7 +44,7 @@ def read(kind: str, root: Path, left_out: LeftOut = None) -> list[Sequence]:
         raise UserError(f"unknown dataset layout {kind!r}: known are {', '.join(READERS)}")
     with reading():
         if not root.is_dir():
-            raise UserError(f"dataset folder {root} does not exist")
+            raise UserError(f"dataset folder {root} does not exist: give the folder that holds the data")
         return READERS[kind](root, left_out)
 
 

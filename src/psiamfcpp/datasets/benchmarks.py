@@ -102,7 +102,7 @@ class Benchmark:
 
     def _check(self, root: Path) -> None:
         if not root.is_dir():
-            raise UserError(f"dataset folder {root} does not exist")
+            raise UserError(f"dataset folder {root} does not exist: give the folder that holds the sequences")
 
     def _refuse(self, root: Path, other: str = "") -> NoReturn:
         raise UserError(

@@ -52,7 +52,8 @@ Criterion = Callable[[Group, Context], FloatArray]
 def rank(group: Group, context: Context) -> FloatArray:
     """Return the average rank ``(n,)`` of each filter's map (paper, section 3.2)."""
     if context.ranks is None or group.name not in context.ranks.groups:
-        raise UserError(f"the criterion rank needs the rank table of {group.name}: make one with `psiamfcpp rank`")
+        fix = "give --ranks FILE, which `psiamfcpp rank` writes"
+        raise UserError(f"the criterion rank needs the rank table of {group.name}: {fix}")
     return context.ranks.groups[group.name].rank
 
 

@@ -72,7 +72,7 @@ class Plan:
         Raises:
             UserError: the file is missing or no plan, or a group in it keeps nothing, a filter twice, or none at all.
         """
-        keep = read_json(path, FORMAT, "plan").get("keep")
+        keep = read_json(path, FORMAT, "plan", "make it with `psiamfcpp plan`").get("keep")
         if not isinstance(keep, dict) or not keep or not all(isinstance(filters, list) for filters in keep.values()):
             raise UserError(f"plan {path} has no lists of filters under 'keep': make it anew with `psiamfcpp plan`")
         try:
@@ -221,7 +221,7 @@ def plan_for_budget(
         if best is None:
             raise UserError(
                 f"a budget of {budget:.4g} cannot be met: {current:.4g} is the least"
-                + ("" if flat_too else " while groups with flat ranks stay whole")
+                + ("; raise it" if flat_too else " while groups with flat ranks stay whole; raise it, or give --flat")
             )
         widths[best[1]] = best[2]
         current -= best[3]

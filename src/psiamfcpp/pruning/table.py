@@ -96,7 +96,7 @@ class RankTable:
         Raises:
             UserError: the file is missing, no such table, or holds numbers that are no ranks.
         """
-        data = read_json(path, FORMAT, "rank table")
+        data = read_json(path, FORMAT, "rank table", "make it with `psiamfcpp rank`")
         groups, images = data.pop("groups", None), data.pop("images", None)
         if not isinstance(groups, dict) or not groups:
             raise UserError(f"rank table {path} has no groups: make it anew with `psiamfcpp rank`")
@@ -119,13 +119,13 @@ def check_groups(found: Mapping[str, Any], wanted: Mapping[str, Any], what: str)
         raise UserError(f"{what} {' and '.join(parts)}: the groups are {', '.join(wanted)}")
 
 
-def read_json(path: Path, form: str, what: str) -> dict[str, Any]:
+def read_json(path: Path, form: str, what: str, fix: str = "replace it") -> dict[str, Any]:
     """A JSON object of a format of ours, without the format's name.
 
     Raises:
         UserError: the file is missing, damaged or of another format.
     """
-    data = files.read_json(path, what)
+    data = files.read_json(path, what, fix)
     if not isinstance(data, dict) or data.pop("format", None) != form:
         raise UserError(f"{what} {path} is not {form}: the file comes from another program or version")
     return data

@@ -94,7 +94,7 @@ def evaluate_several(
 
 def _root_of(name: BenchmarkName, root: Path) -> Path:
     if not root.is_dir():
-        raise UserError(f"dataset folder {root} does not exist")
+        raise UserError(f"dataset folder {root} does not exist: --root names the folder that holds the benchmarks")
     found = find_benchmark(BENCHMARKS[name], root)
     if found is None or not found.frames:
         why = f": {found.problem}" if found and found.problem else f"; get it from {BENCHMARKS[name].source}"

@@ -118,6 +118,8 @@ PROCEDURE = Procedure(
     window=window,
     estimate=estimate,
     rate=lambda found, constants: 1.0,
+    # Sizes are not smoothed: one that is kept goes out of date within frames.
+    rate_in_doubt=1.0,
     move=clip,
     smallest=1.0,
 )

@@ -139,7 +139,7 @@ class TrainOptions:
     losses: LossWeights = LossWeights()
     teacher: TeacherOptions = TeacherOptions()
     batch: int = 32
-    """pairs a step and process"""
+    """pairs per step and process"""
     optimizer: Literal["adamw", "sgd"] = "adamw"
     """adamw, or sgd with the authors' momentum"""
     weight_decay: float = 1e-4
@@ -165,7 +165,7 @@ class RunOptions:
     """How a run is carried out; none of it decides the result."""
 
     bf16: bool = True
-    """autocast to bfloat16 where the processor computes it"""
+    """compute in bfloat16 where the processor has it; `--no-bf16` computes in float32"""
     workers: int = 1
     """loader processes"""
     cache_gb: float = 6.0
@@ -175,7 +175,7 @@ class RunOptions:
     save_every: int = 250
     """steps between saved states"""
     validation_pairs: int = 512
-    """held-out pairs a validation"""
+    """held-out pairs per validation"""
     frames: str = ""
     """folder that keeps the decoded frames of videos; by default, frames in the run's folder"""
     compile: bool = False

@@ -151,7 +151,10 @@ class Following:
             if motion is None:
                 return Track(self._box(), value, self._states.state)
             self._hunt.go_on(motion)
-        self._target = self._moved(around, found, self._rate(found), frame)
+        rate = self._rate(found)
+        if value < self._limits.unsure_below:
+            rate *= self._procedure.rate_in_doubt
+        self._target = self._moved(around, found, rate, frame)
         expected = self._hunt is None or lies_in(found.target, self._hunt.place)
         state = self._states.step(value, elsewhere=not expected)
         if state == "tracking":

@@ -58,6 +58,8 @@ class Procedure:
     """scores, boxes, target that the crop was centred on and scaled by, description, window: the chosen cell"""
     rate: Callable[[Estimate, TrackingConstants], float]
     """share of the way to the found size"""
+    rate_in_doubt: float
+    """share of that rate while the target is not surely seen; 0 keeps the size"""
     move: Callable[[Target, Estimate, float, tuple[int, ...], float], Target]
     """target so far, estimate, rate, shape of the frame, lower bound of the sides: the new target"""
     smallest: float
@@ -193,6 +195,7 @@ PROCEDURE = Procedure(
     window=cosine_window,
     estimate=_estimate,
     rate=lambda found, constants: constants.test_lr * found.penalty * found.score,
+    rate_in_doubt=0.0,
     move=smooth,
     # The original's lower bound.
     smallest=10.0,
