@@ -121,7 +121,7 @@ def test_template_and_search_crops_are_laid_about_the_target(blob_engine: Any, b
 
 
 @pytest.mark.parametrize("peak", [0.4, 0.1])
-def test_while_in_doubt_the_box_is_that_of_the_published_procedure(
+def test_while_in_doubt_the_box_moves_as_in_the_published_procedure_and_keeps_its_size(
     blob_engine: Any, blob_frame: Draw, peak: float
 ) -> None:
     start = blob_frame(START)
@@ -135,7 +135,8 @@ def test_while_in_doubt_the_box_is_that_of_the_published_procedure(
         track = ours.update(frame)
         assert track.state != "tracking"
         assert track.score == pytest.approx(peak, abs=1e-3)
-        assert track.box == plain.update(frame).box
+        assert track.box[2:] == START[2:]
+        assert centre_error(track.box, plain.update(frame).box) < 1
 
 
 def test_a_target_that_vanishes_in_motion_is_lost_and_awaited_where_it_was_going(
