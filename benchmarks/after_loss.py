@@ -7,11 +7,16 @@ the score is the mean overlap over the frames whose score reaches it, 0 where th
 mean over the frames in which the target is in sight, 0 where the score does not reach the limit. Both are means over
 clips, and the F-score is the highest over all limits (Lukezic et al. 2018). Even seeds served to develop the states;
 use odd ones to judge them. With ``--curve`` the points of precision and recall are printed too.
+
+Times are those of updates on one thread, in milliseconds: the median of frames in which the target is surely seen
+(``ms_sure``) and of the others (``ms_unsure``), where one more region is searched, and the worst of the others as a
+multiple of the first (``worst``). Trackers that state nothing have ``ms_sure`` alone.
 """
 
 from __future__ import annotations
 
 import json
+import time
 from collections.abc import Iterator
 
 import cv2
@@ -24,7 +29,7 @@ from psiamfcpp.demo.long import render_long
 from psiamfcpp.geometry import overlap
 
 Frames = NDArray[np.float64]
-"""``(n, 3)``: overlap, whether the target is in sight, and score, frame by frame"""
+"""``(n, 5)``, frame by frame: overlap, whether the target is in sight, score, whether it is surely seen, milliseconds"""
 
 _LIMITS = 100
 
@@ -57,15 +62,18 @@ def follow(trackers: tuple[str, ...], seed: int, frames: int) -> Iterator[tuple[
     opened = [
         open_tracker(name, TrackerOptions(threads=1, plain=plain)) for name in trackers for plain in (False, True)
     ]
-    rows = np.zeros((len(names), frames - 1, 3))
+    rows = np.zeros((len(names), frames - 1, 5))
     clip = render_long(seed, frames)
     first = next(clip)
     for tracker in opened:
         tracker.init(first.image, first.box)
     for number, frame in enumerate(clip):
         for row, tracker in zip(rows, opened, strict=True):
+            began = time.perf_counter()
             track = tracker.update(frame.image)
-            row[number] = overlap(track.box, frame.box) * frame.visible, frame.visible, track.score or 0.0
+            ms = 1e3 * (time.perf_counter() - began)
+            seen, sure = overlap(track.box, frame.box) * frame.visible, track.state in (None, "tracking")
+            row[number] = seen, frame.visible, track.score or 0.0, sure, ms
     for tracker in opened:
         tracker.close()
     yield from zip(names, rows, strict=True)
@@ -80,12 +88,22 @@ def table(clips: list[Frames], curve: bool) -> dict[str, object]:
     names = ("f", "precision", "recall", "recall_of_all", "score")
     values = (f[best], points[0, best], points[1, best], points[1, 0], limits[best])
     row: dict[str, object] = {name: round(float(value), 3) for name, value in zip(names, values, strict=True)}
-    return row | ({"curve": points.T.round(3).tolist()} if curve else {})
+    return row | times(np.concatenate(clips)) | ({"curve": points.T.round(3).tolist()} if curve else {})
+
+
+def times(rows: Frames) -> dict[str, object]:
+    """Return milliseconds of an update in sure frames and in others, and the worst of the others over the first."""
+    sure, ms = rows[:, 3] > 0, rows[:, 4]
+    if sure.all() or not sure.any():
+        return {"ms_sure": round(float(np.median(ms)), 2)} if sure.all() else {}
+    usual, others = float(np.median(ms[sure])), ms[~sure]
+    found = {"ms_sure": usual, "ms_unsure": float(np.median(others)), "worst": float(others.max()) / usual}
+    return {name: round(value, 2) for name, value in found.items()}
 
 
 def precision_recall(rows: Frames, limits: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return precision and recall ``(2, n)`` of one clip at each limit of the score."""
-    overlaps, seen, scores = rows.T
+    overlaps, seen, scores = rows.T[:3]
     reached = scores >= limits[:, None]
     total = (reached * overlaps).sum(axis=1)
     return np.stack(
