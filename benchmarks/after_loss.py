@@ -29,7 +29,7 @@ from psiamfcpp.demo.long import render_long
 from psiamfcpp.geometry import overlap
 
 Frames = NDArray[np.float64]
-"""``(n, 5)``, frame by frame: overlap, whether the target is in sight, score, whether it is surely seen, milliseconds"""
+"""``(n, 5)`` by frame: overlap, whether the target is in sight, score, whether it is surely seen, milliseconds"""
 
 _LIMITS = 100
 
