@@ -103,7 +103,7 @@ def test_times_keep_the_number_of_threads(script: ModuleType, tmp_path: Path, mo
     monkeypatch.setattr(script, "TABLE", tmp_path / "results.csv")
     script.TABLE.write_text(",".join(script.Figure._fields) + "\n")
     for threads in (1, 2):
-        rows = [{"model": name, "ms_median": 6.04 / threads} for name in ("plightfc-int8", "TrackerMIL")]
+        rows = [{"model": name, "ms_median": 6.04 / threads} for name in ("plightfc-int8", "opencv-mil")]
         (tmp_path / f"{threads}.json").write_text(json.dumps({"rows": rows, "threads": threads}))
     script.add((tmp_path / "1.json", tmp_path / "2.json"), "avx2", "bench")
     assert [tuple(figure) for figure in script.read()] == [
