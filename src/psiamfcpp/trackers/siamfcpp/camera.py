@@ -22,7 +22,7 @@ _WINDOW, _LEVELS = (9, 9), 3
 _POINTS, _QUALITY, _APART = 60, 0.01, 4
 # Fewer points that move together than this, or a smaller share of all, are no camera motion: a cut, or water.
 _FEWEST, _SHARE = 12, 0.4
-# Places that move by themselves, of which so many are looked at.
+# Number of places that move by themselves and are searched in turn.
 _MOVERS = 4
 # Two grey frames that differ by less than this on the mean show the same moment: the video stands still.
 _FROZEN = 0.05
