@@ -146,11 +146,12 @@ class Following:
 
     def _judge(self, frame: Image, around: Target, found: Estimate, value: float, engine: Engine) -> Track:
         """Follow as the procedure does, and look elsewhere as well where that has lost the target."""
+        frozen = False
         if self._hunt:
             motion = self._camera.step(frame, self._target)
-            if motion is None:
-                return Track(self._box(), value, self._states.state)
-            self._hunt.go_on(motion)
+            frozen = motion is None
+            if motion is not None:
+                self._hunt.go_on(motion)
         rate = self._rate(found)
         if value < self._limits.unsure_below:
             rate *= self._procedure.rate_in_doubt
@@ -169,7 +170,8 @@ class Following:
                 self._hunt = Hunt(self._seen, self._velocity)
                 self._camera.step(frame, self._target)
                 self._hunt.go_on(STILL)
-        if self._unseen_for >= SEARCH_AFTER or (self._watch and not self._unseen_for):
+        # The same frame again proves nothing of a rival. The target may be lost all the same: a scene can be that still.
+        if not frozen and (self._unseen_for >= SEARCH_AFTER or (self._watch and not self._unseen_for)):
             value = self._look_elsewhere(frame, found.score, value, engine)
         if not self._unseen_for and not self._watch:
             self._see()
