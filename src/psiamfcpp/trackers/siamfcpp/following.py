@@ -170,7 +170,7 @@ class Following:
                 self._hunt = Hunt(self._seen, self._velocity)
                 self._camera.step(frame, self._target)
                 self._hunt.go_on(STILL)
-        # The same frame again proves nothing of a rival. The target may be lost all the same: a scene can be that still.
+        # The same frame again proves nothing of a rival, but the target may be gone: a scene can be that still.
         if not frozen and (self._unseen_for >= SEARCH_AFTER or (self._watch and not self._unseen_for)):
             value = self._look_elsewhere(frame, found.score, value, engine)
         if not self._unseen_for and not self._watch:
