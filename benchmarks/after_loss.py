@@ -16,6 +16,7 @@ multiple of the first (``worst``). Trackers that state nothing have ``ms_sure`` 
 from __future__ import annotations
 
 import json
+import sys
 import time
 from collections.abc import Iterator
 
@@ -26,6 +27,7 @@ from numpy.typing import NDArray
 
 from psiamfcpp import TrackerOptions, open_tracker
 from psiamfcpp.demo.long import render_long
+from psiamfcpp.errors import UserError
 from psiamfcpp.geometry import overlap
 
 Frames = NDArray[np.float64]
@@ -112,4 +114,8 @@ def precision_recall(rows: Frames, limits: NDArray[np.float64]) -> NDArray[np.fl
 
 
 if __name__ == "__main__":
-    tyro.cli(main)
+    try:
+        tyro.cli(main)
+    except UserError as error:
+        print(f"after_loss.py: {error}", file=sys.stderr)
+        sys.exit(2)

@@ -111,14 +111,16 @@ def add(files: tyro.conf.Positional[tuple[Path, ...]], set: str, command: str, p
     for tracker, rows in ((_NAMES.get(name, name), rows) for name, rows in sequences.items()):
         for name in ("precision", "auc"):
             found.append((tracker, procedure, name, f"{np.mean([row[name] for row in rows]):.3f}"))
+    if not found:
+        raise UserError("the files hold no figures: give what `evaluate --json` or `bench --json` of psiamfcpp printed")
     figures = {figure[:4]: figure for figure in read()}
     for row_tracker, row_procedure, name, value in found:
         figure = Figure(set, row_tracker, row_procedure, name, value, command.replace("MODEL", row_tracker))
         figures[figure[:4]] = figure
     written = io.StringIO()
-    rows_out = csv.writer(written, lineterminator="\n")
-    rows_out.writerow(Figure._fields)
-    rows_out.writerows(figures.values())
+    table_rows = csv.writer(written, lineterminator="\n")
+    table_rows.writerow(Figure._fields)
+    table_rows.writerows(figures.values())
     write_whole(TABLE, written.getvalue().encode())
 
 

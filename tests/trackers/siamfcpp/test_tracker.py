@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 import math
 from collections.abc import Callable
@@ -137,6 +138,26 @@ def test_while_in_doubt_the_box_moves_as_in_the_published_procedure_and_keeps_it
         assert track.score == pytest.approx(peak, abs=1e-3)
         assert track.box[2:] == START[2:]
         assert centre_error(track.box, plain.update(frame).box) < 1
+
+
+def test_a_procedure_may_follow_sizes_in_doubt(blob_engine: Any, blob_frame: Draw) -> None:
+    start = blob_frame(START)
+    ours, plain = Tracker(), Tracker(plain=True)
+    for tracker in (ours, plain):
+        tracker.init(start, START)
+    blob_engine.templates[:], ours.following._kernels, plain.following._kernels = blob_engine.templates[:1], 1, 1
+    ours.following._procedure = dataclasses.replace(ours.following._procedure, rate_in_doubt=1.0)
+    blob_engine.peak = 0.4
+    for t in range(1, 5):
+        frame = blob_frame((100 + 5 * t, 80 + t, 40 + t, 30 + t))
+        assert ours.update(frame).box == plain.update(frame).box
+
+
+def test_a_target_is_lost_in_a_scene_that_stands_still_too(blob_engine: Any, blob_frame: Draw) -> None:
+    tracker = begun(blob_frame)
+    blob_engine.peak = 0.005
+    frame = blob_frame((300, 220, 4, 4))
+    assert [tracker.update(frame).state for _ in range(LOST_AFTER)][-1] == "lost"
 
 
 def test_a_target_that_vanishes_in_motion_is_lost_and_awaited_where_it_was_going(
