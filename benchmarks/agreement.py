@@ -17,7 +17,7 @@ from collections.abc import Sequence
 import numpy as np
 import tyro
 
-from psiamfcpp.datasets.choice import DataChoice
+from psiamfcpp.datasets.choice import HELD_OUT_EVERY, DataChoice
 from psiamfcpp.errors import UserError
 from psiamfcpp.export.crops import Pair, sample
 from psiamfcpp.geometry import from_centre, overlap
@@ -29,7 +29,7 @@ from psiamfcpp.trackers.siamfcpp.procedure import Estimate, Procedure, Target
 def main(
     models: tyro.conf.Positional[tuple[str, ...]],
     data: tuple[str, ...],
-    held_out_every: int = 8,
+    held_out_every: int = HELD_OUT_EVERY,
     pairs: int = 300,
     threads: int = 1,
 ) -> None:

@@ -17,7 +17,7 @@ import numpy as np
 import torch
 import tyro
 
-from psiamfcpp.datasets.choice import DataChoice
+from psiamfcpp.datasets.choice import HELD_OUT_EVERY, DataChoice
 from psiamfcpp.errors import UserError
 from psiamfcpp.geometry import from_corners, overlap
 from psiamfcpp.models import Network, load
@@ -37,7 +37,7 @@ def main(
     plans: tuple[Path, ...],
     images: int = 100,
     pairs: int = 300,
-    held_out_every: int = 8,
+    held_out_every: int = HELD_OUT_EVERY,
     fit: bool = True,
 ) -> None:
     """Cut, fit, compare and print.

@@ -82,9 +82,11 @@ def test_a_box_from_its_cell_size_and_offset() -> None:
     size, offset = torch.full((1, 2, 16, 16), 0.25), torch.zeros(1, 2, 16, 16)
     size[0, 1] = 0.125
     offset[0, 0, 3, 7], offset[0, 1, 3, 7] = 0.5, -0.25
-    box = to_boxes(size, offset, 256)[0, 3, 7]
+    box = to_boxes(size, offset)[0, 3, 7]
     # centre (7.5, 2.75) cells of 16 pixels; corners are the first and the last pixel
     assert box.tolist() == [120 - 32, 44 - 16, 120 + 32 - 1, 44 + 16 - 1]
+    # A smaller crop shows the target as large, so that a share is one of the crop that LightFC was trained with.
+    assert to_boxes(size[..., :12, :12], offset[..., :12, :12])[0, 3, 7].tolist() == box.tolist()
 
 
 def test_a_batch_is_its_crops_one_by_one(network: LightFC) -> None:

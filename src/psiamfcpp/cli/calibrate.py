@@ -7,6 +7,7 @@ from pathlib import Path
 
 from psiamfcpp.cli.arguments import Json, Model, Output, Overwrite
 from psiamfcpp.cli.output import check_new, print_json, watching
+from psiamfcpp.datasets.choice import HELD_OUT_EVERY
 from psiamfcpp.spec import TrackingConstants
 
 
@@ -16,7 +17,7 @@ def calibrate(
     output: Output,
     constants: TrackingConstants = TrackingConstants(),  # noqa: B008 - frozen
     search_size: int | None = None,
-    held_out_every: int = 8,
+    held_out_every: int = HELD_OUT_EVERY,
     half: bool = False,
     overwrite: Overwrite = False,
     json: Json = False,

@@ -10,6 +10,7 @@ import tyro
 
 from psiamfcpp.cli.arguments import HeldOut, Json, Output, Overwrite, SkipBad
 from psiamfcpp.cli.output import check_new, print_json, watching
+from psiamfcpp.datasets.choice import HELD_OUT_EVERY
 
 
 def export(
@@ -18,7 +19,7 @@ def export(
     int8: bool = False,
     format: Literal["onnx", "openvino"] = "onnx",
     data: tuple[str, ...] = (),
-    held_out_every: HeldOut = 8,
+    held_out_every: HeldOut = HELD_OUT_EVERY,
     root: Path | None = None,
     pairs: int = 128,
     layer_loss: float = 0.02,

@@ -9,6 +9,7 @@ import tyro
 
 from psiamfcpp.cli.arguments import HeldOut, Json, Overwrite, SourceName
 from psiamfcpp.cli.output import check_new, print_json, watching
+from psiamfcpp.datasets.choice import HELD_OUT_EVERY
 from psiamfcpp.errors import UserError
 from psiamfcpp.files import check_outputs
 
@@ -19,7 +20,7 @@ def plan(
     ranks: Path | None = None,
     data: tuple[str, ...] = (),
     images: int = 100,
-    held_out_every: HeldOut = 8,
+    held_out_every: HeldOut = HELD_OUT_EVERY,
     preset: Literal["paper"] | None = None,
     keep: tuple[str, ...] = (),
     remove: float | None = None,

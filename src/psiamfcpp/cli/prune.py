@@ -6,6 +6,7 @@ from pathlib import Path
 
 from psiamfcpp.cli.arguments import HeldOut, Json, Model, Output, Overwrite, SkipBad
 from psiamfcpp.cli.output import check_new, print_json, watching
+from psiamfcpp.datasets.choice import HELD_OUT_EVERY
 
 
 def prune(
@@ -15,7 +16,7 @@ def prune(
     data: tuple[str, ...] = (),
     images: int = 100,
     seed: int = 0,
-    held_out_every: HeldOut = 8,
+    held_out_every: HeldOut = HELD_OUT_EVERY,
     skip_bad: SkipBad = False,
     overwrite: Overwrite = False,
     json: Json = False,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from psiamfcpp.cli.arguments import HeldOut, Json, Model, Output, SkipBad
 from psiamfcpp.cli.output import print_json, watching
+from psiamfcpp.datasets.choice import HELD_OUT_EVERY
 
 
 def rank(
@@ -13,7 +14,7 @@ def rank(
     images: int = 200,
     batch: int = 4,
     seed: int = 0,
-    held_out_every: HeldOut = 8,
+    held_out_every: HeldOut = HELD_OUT_EVERY,
     skip_bad: SkipBad = False,
     json: Json = False,
 ) -> None:

@@ -7,6 +7,7 @@ from typing import Any
 
 from psiamfcpp.cli.arguments import Output, SkipBad
 from psiamfcpp.cli.output import notes
+from psiamfcpp.datasets.choice import HELD_OUT_EVERY
 from psiamfcpp.recipes.train import train as run_training
 from psiamfcpp.training.options import RunOptions, TrainOptions
 from psiamfcpp.watch import Watch
@@ -18,7 +19,7 @@ def train(
     output: Output,
     options: TrainOptions = TrainOptions(),  # noqa: B008 - frozen
     run: RunOptions = RunOptions(),  # noqa: B008 - frozen
-    held_out_every: int = 10,
+    held_out_every: int = HELD_OUT_EVERY,
     note: str = "",
     skip_bad: SkipBad = False,
 ) -> None:

@@ -20,6 +20,9 @@ from psiamfcpp.images import is_readable
 
 _NAMED = 20
 
+HELD_OUT_EVERY = 10
+"""one clip in so many is held out, unless a command is told otherwise"""
+
 
 @dataclass(frozen=True)
 class DataChoice:

@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from psiamfcpp.models.arch import PIXELS, Layer, by_depth, walk
+from psiamfcpp.models.lightfc_table import ARCHITECTURE
 from psiamfcpp.models.network import Network, Part
 from psiamfcpp.spec import ModelSpec
 
@@ -74,13 +75,13 @@ class LightFC(Network):
             and row included.
         """
         score, size, offset = self.maps(self.features(x), kernels)
-        return score.squeeze(1), to_boxes(size, offset, x.shape[-1])
+        return score.squeeze(1), to_boxes(size, offset)
 
     def maps(self, features: Tensor, kernels: Kernels) -> tuple[Tensor, Tensor, Tensor]:
         """What the three heads say, from the backbone's features on.
 
         Returns:
-            Scores ``(B, 1, N, N)``, sizes ``(B, 2, N, N)`` as shares of the crop's side, width first, and offsets
+            Scores ``(B, 1, N, N)``, sizes ``(B, 2, N, N)`` as shares of a crop of 256 pixels, width first, and offsets
             ``(B, 2, N, N)`` of the centre from the cell's corner in cells, x first.
         """
         known = {self._features[-1].name: features, self._correlation.name: correlate_cells(features, kernels[0])}
@@ -105,14 +106,17 @@ def correlate_cells(features: Tensor, kernels: Tensor) -> Tensor:
     return out.unflatten(2, features.shape[-2:])
 
 
-def to_boxes(size: Tensor, offset: Tensor, search_size: int) -> Tensor:
-    """Corners ``(B, N, N, 4)`` in pixels of the crop from the maps of `LightFC.maps`."""
-    cells = size.shape[-1]
-    line = torch.arange(cells, device=size.device, dtype=torch.float32)
+def to_boxes(size: Tensor, offset: Tensor) -> Tensor:
+    """Corners ``(B, N, N, 4)`` in pixels of the crop from the maps of `LightFC.maps`.
+
+    Sizes are shares of the crop that LightFC was trained with. A crop of another side shows a target at the same scale,
+    so that the same share means the same pixels.
+    """
+    line = torch.arange(size.shape[-1], device=size.device, dtype=torch.float32)
     y, x = torch.meshgrid(line, line, indexing="ij")
     # Centres count from the edge of the first pixel, corners are indices of pixels.
-    centres = (torch.stack([x, y]) + offset) * (search_size / cells)
-    half = size * (search_size / 2)
+    centres = (torch.stack([x, y]) + offset) * ARCHITECTURE.stride
+    half = size * (ARCHITECTURE.search_size / 2)
     return torch.cat([centres - half, centres + half - 1], dim=1).permute(0, 2, 3, 1)
 
 

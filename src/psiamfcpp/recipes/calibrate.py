@@ -9,6 +9,7 @@ from pathlib import Path
 import torch
 
 from psiamfcpp import datasets
+from psiamfcpp.datasets.choice import HELD_OUT_EVERY
 from psiamfcpp.datasets.split import split
 from psiamfcpp.errors import UserError
 from psiamfcpp.files import check_outputs
@@ -37,7 +38,7 @@ def calibrate(
     *,
     constants: TrackingConstants = TrackingConstants(),  # noqa: B008 - frozen
     search_size: int | None = None,
-    held_out_every: int = 8,
+    held_out_every: int = HELD_OUT_EVERY,
     half: bool = False,
     watch: Watch = QUIET,
 ) -> Calibrated:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from psiamfcpp.datasets import Sequence, read
-from psiamfcpp.datasets.choice import DataChoice
+from psiamfcpp.datasets.choice import HELD_OUT_EVERY, DataChoice
 from psiamfcpp.errors import UserError
 from psiamfcpp.evaluation.ope import mean_over
 from psiamfcpp.export.crops import rendered, sample
@@ -50,7 +50,7 @@ def export(
     int8: bool = False,
     format: Format = "onnx",
     data: Several[str] = (),
-    held_out_every: int = 8,
+    held_out_every: int = HELD_OUT_EVERY,
     skip_bad: bool = False,
     root: str | Path | None = None,
     pairs: int = 128,

@@ -11,6 +11,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from psiamfcpp.datasets.choice import HELD_OUT_EVERY
 from psiamfcpp.errors import UserError
 from psiamfcpp.export.crops import Pair
 from psiamfcpp.export.files import graphs_of, write_files
@@ -70,7 +71,7 @@ def plan(
     ranks: str | Path | None = None,
     data: Sequence[str] = (),
     images: int = 100,
-    held_out_every: int = 8,
+    held_out_every: int = HELD_OUT_EVERY,
     preset: str | None = None,
     keep: Mapping[str, float] | None = None,
     remove: float | None = None,

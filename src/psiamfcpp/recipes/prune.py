@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from psiamfcpp.datasets.choice import DataChoice
+from psiamfcpp.datasets.choice import HELD_OUT_EVERY, DataChoice
 from psiamfcpp.errors import UserError
 from psiamfcpp.files import check_outputs
 from psiamfcpp.models import Network, load, save
@@ -46,7 +46,7 @@ def prune(
     data: Sequence[str] = (),
     images: int = 100,
     seed: int = 0,
-    held_out_every: int = 8,
+    held_out_every: int = HELD_OUT_EVERY,
     skip_bad: bool = False,
     watch: Watch = QUIET,
 ) -> Pruned:

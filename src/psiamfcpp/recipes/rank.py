@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from psiamfcpp.datasets.choice import DataChoice
+from psiamfcpp.datasets.choice import HELD_OUT_EVERY, DataChoice
 from psiamfcpp.errors import UserError
 from psiamfcpp.models import Network, load
 from psiamfcpp.pruning.groups import Group
@@ -35,7 +35,7 @@ def rank(
     images: int = 200,
     batch: int = 4,
     seed: int = 0,
-    held_out_every: int = 8,
+    held_out_every: int = HELD_OUT_EVERY,
     skip_bad: bool = False,
     watch: Watch = QUIET,
 ) -> RankTable:

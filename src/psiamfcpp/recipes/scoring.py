@@ -9,7 +9,7 @@ from pathlib import Path
 from torch import Tensor
 
 from psiamfcpp.datasets import Sequence
-from psiamfcpp.datasets.choice import DataChoice
+from psiamfcpp.datasets.choice import HELD_OUT_EVERY, DataChoice
 from psiamfcpp.errors import UserError
 from psiamfcpp.models import Network, load
 from psiamfcpp.pruning.criteria import (
@@ -41,7 +41,7 @@ def score_model(
     data: Several[str] = (),
     images: int = 100,
     seed: int = 0,
-    held_out_every: int = 8,
+    held_out_every: int = HELD_OUT_EVERY,
 ) -> RankTable:
     """Score the filters of a model by a criterion.
 

@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from psiamfcpp.datasets.choice import DataChoice
+from psiamfcpp.datasets.choice import HELD_OUT_EVERY, DataChoice
 from psiamfcpp.files import check_outputs
 from psiamfcpp.training.options import RunOptions, TrainOptions
 from psiamfcpp.version import __version__
@@ -28,7 +28,7 @@ def train(
     *,
     options: TrainOptions = _OPTIONS,
     run: RunOptions = _RUN,
-    held_out_every: int = 10,
+    held_out_every: int = HELD_OUT_EVERY,
     note: str = "",
     skip_bad: bool = False,
     on_row: Callable[[dict[str, Any]], None] = lambda row: None,

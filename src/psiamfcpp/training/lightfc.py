@@ -45,7 +45,7 @@ def labelled(maps: Maps, batch: Batch, weights: LossWeights) -> dict[str, Tensor
     peak = peaks(batch.corners, batch.present, side, score.shape[1])
     middle = peak == 1
     focal = torch.where(middle, (1 - score) ** 2 * score.log(), (1 - peak) ** 4 * score**2 * (1 - score).log())
-    boxes = to_boxes(size, offset, side)
+    boxes = to_boxes(size, offset)
     apart = -torch.log(overlap(boxes, batch.corners[:, None, None]).clamp(min=1e-6))
     parts = {
         "cls": -focal.sum() / middle.sum().clamp(min=1),
@@ -62,10 +62,9 @@ def taught(maps: Maps, wanted: Maps, batch: Batch) -> Tensor:
     weighted by what is left to 1, since background cells outnumber those of the target. Boxes: -log overlap, weighted
     by the teacher's score.
     """
-    size = batch.search.shape[1]
     score, trust = maps[0].squeeze(1), wanted[0].squeeze(1)
     apart = trust * (trust / score).log() + (1 - trust) * ((1 - trust) / (1 - score)).log()
-    boxes = -torch.log(overlap(to_boxes(*maps[1:], size), to_boxes(*wanted[1:], size)).clamp(min=1e-6))
+    boxes = -torch.log(overlap(to_boxes(*maps[1:]), to_boxes(*wanted[1:])).clamp(min=1e-6))
     return _mean(apart, trust) + _mean(apart, 1 - trust) + _mean(boxes, trust)
 
 
