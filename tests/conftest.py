@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import functools
 import os
@@ -9,6 +10,12 @@ import re
 
 # Before torch is imported: the networks here are so small that threads cost more than they give.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+# Workers side by side keep to a core each: engines that take all cores would spend their time waiting for each other.
+if worker := os.environ.get("PYTEST_XDIST_WORKER"):
+    with contextlib.suppress(AttributeError, OSError):  # not on every system
+        cores = sorted(os.sched_getaffinity(0))
+        os.sched_setaffinity(0, {cores[int(worker.removeprefix("gw")) % len(cores)]})
 
 import shutil
 from collections.abc import Callable, Iterator

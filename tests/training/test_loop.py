@@ -80,7 +80,7 @@ def test_training_lowers_the_loss(scenes: list[Sequence], start: Start, tmp_path
             return {k: float(v) for k, v in PairLoss(network.train(), LossWeights())(batches[0]).items()}
 
     before = cost(model)
-    list(start(options(40, lr=5e-3, batch=8, pairs=plain, ema=0.0), model=model))
+    list(start(options(20, lr=5e-3, batch=8, pairs=plain, ema=0.0), model=model))
     after = cost(load(tmp_path / "run" / "model.safetensors"))
     assert after["total"] < 0.9 * before["total"]
     assert after["cls"] < before["cls"]
@@ -89,7 +89,7 @@ def test_training_lowers_the_loss(scenes: list[Sequence], start: Start, tmp_path
 
 @pytest.mark.slow
 def test_rows_of_the_log(start: Start, tmp_path: Path):
-    yielded = list(start(options(120), validate_every=100, validation_pairs=20))
+    yielded = list(start(options(120, batch=1), validate_every=100, validation_pairs=20))
     logged = rows(tmp_path / "run")
     assert logged == yielded
     assert [row["step"] for row in logged] == [50, 100, 120]
