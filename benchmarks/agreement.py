@@ -3,9 +3,10 @@
     python benchmarks/agreement.py MODEL OTHER [OTHER ...] --data LAYOUT:FOLDER [LAYOUT:FOLDER ...]
 
 Each pair of crops is of one target, in two frames at most 30 apart; the second crop is laid about a place up to 0.4
-target sides off and a size up to 20 % off. The clips are those that training holds out. Printed are the share of pairs
-in which the same cell is chosen, the mean and the least overlap of the chosen boxes, and the processor time of a search
-as a share of the first model's: the median of the ratios, pair by pair, which other processes change little.
+target sides off and a size up to 20 % off. All models take search crops of the first one's size. The clips are those
+that training holds out. Printed are the share of pairs in which the same cell is chosen, the mean and the least overlap
+of the chosen boxes, and the processor time of a search as a share of the first model's: the median of the ratios, pair
+by pair, which other processes change little.
 """
 
 from __future__ import annotations
@@ -44,8 +45,8 @@ def main(
     """
     if len(models) < 2:
         raise UserError(f"{len(models)} models given: two or more, to compare, are expected")
-    engines = [open_engine(model, threads=threads) for model in models]
-    spec = engines[0].spec
+    spec = open_engine(models[0], threads=threads).spec
+    engines = [open_engine(model, threads=threads, search_size=spec.search_size) for model in models]
     crops = sample(DataChoice(data, held_out_every).held_out, spec, pairs)
     procedure: Procedure = opened(spec.arch.procedure)
     window = procedure.window(spec.arch.score_size(spec.search_size, spec.template_size))

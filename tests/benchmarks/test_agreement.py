@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-import importlib.util
+import dataclasses
 import re
 from collections.abc import Callable
 from pathlib import Path
+from types import ModuleType
+from typing import Any
 
 import pytest
 
@@ -13,22 +15,20 @@ from psiamfcpp.errors import UserError
 
 
 def test_a_model_agrees_with_itself_and_less_with_another(
+    script: ModuleType,
     tiny_model: Path,
-    make_network: Callable[..., object],
+    make_network: Callable[..., Any],
     tmp_path: Path,
     blob_sequence: Callable[..., Path],
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     from psiamfcpp.models import save
 
-    path = Path(__file__).parents[2] / "benchmarks" / "agreement.py"
-    spec = importlib.util.spec_from_file_location("agreement", path)
-    assert spec is not None and spec.loader is not None
-    script = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(script)
-
     other = tmp_path / "other.safetensors"
-    save(other, make_network(5))
+    network = make_network(5)
+    # A model of another search size takes the crops of the first.
+    network.spec = dataclasses.replace(network.spec, search_size=network.spec.search_size + 32)
+    save(other, network)
     data = (f"folder:{blob_sequence('blob', [(100, 80, 40, 30)] * 3)}",)
     script.main((str(tiny_model), str(tiny_model), str(other)), data, held_out_every=1, pairs=4)
     same, different = capsys.readouterr().out.splitlines()
