@@ -19,7 +19,7 @@ def test_both_graphs_are_written_and_the_difference_is_said(
     run: Run, tiny_model: Path, tmp_path: Path, blob_sequence, own_data: bool
 ) -> None:
     folder = tmp_path / "new" / "graphs"
-    data = ("--data", f"folder:{blob_sequence('alpha', [(100, 80, 40, 30), (110, 80, 40, 30)])}")
+    data = ("--data", f"folder:{blob_sequence('beta', [(100, 80, 40, 30), (110, 80, 40, 30)])}")
     ended = run("export", tiny_model, "-o", folder, "--pairs", "4", *(data if own_data else ()))
     assert ended.code == 0
     assert sorted(path.name for path in folder.iterdir()) == ["search.onnx", "template.onnx"]
@@ -34,7 +34,7 @@ def test_int8_is_judged_by_layer_on_given_data(
 ) -> None:
     # the scores of random weights are so alike that 8 bits change which one is highest
     monkeypatch.setattr("psiamfcpp.export.parity._OVERLAP", 0.0)
-    data = blob_sequence("alpha", [(100, 80, 40, 30), (110, 80, 40, 30)])
+    data = blob_sequence("beta", [(100, 80, 40, 30), (110, 80, 40, 30)])
     folder = tmp_path / "graphs"
     args = ("export", tiny_model, "-o", folder, "--pairs", "4", "--int8", "--data", f"folder:{data}")
     ended = run(*args, "--layer-loss", "1", "--json")
@@ -48,7 +48,7 @@ def test_int8_is_judged_by_layer_on_given_data(
 
 @pytest.mark.slow
 def test_what_the_graphs_cost_on_sequences_is_said(run: Run, tiny_model: Path, tmp_path: Path, blob_sequence) -> None:
-    root = blob_sequence("alpha", [(100, 80, 40, 30), (110, 80, 40, 30), (120, 80, 40, 30)])
+    root = blob_sequence("beta", [(100, 80, 40, 30), (110, 80, 40, 30), (120, 80, 40, 30)])
     args = ("export", tiny_model, "-o", tmp_path / "graphs", "--data", f"folder:{root}", "--pairs", "4", "--root", root)
     told = json.loads(run(*args, "--json").out)["followed"]
     assert told["graphs"] == pytest.approx(told["torch"])  # float graphs give the same boxes
@@ -57,7 +57,7 @@ def test_what_the_graphs_cost_on_sequences_is_said(run: Run, tiny_model: Path, t
 
 
 def test_a_failed_check_writes_nothing(run: Run, tiny_model: Path, tmp_path: Path, blob_sequence, monkeypatch) -> None:
-    data = blob_sequence("alpha", [(100, 80, 40, 30), (110, 80, 40, 30)])
+    data = blob_sequence("beta", [(100, 80, 40, 30), (110, 80, 40, 30)])
     monkeypatch.setattr("psiamfcpp.export.files.compare", lambda *_: Difference(0.5, 0.0, 1.0))
     args = ("export", tiny_model, "-o", tmp_path / "graphs", "--pairs", "4", "--data", f"folder:{data}")
     said = run(*args).refused()
@@ -91,9 +91,9 @@ def test_what_is_near_enough() -> None:
 def test_clips_held_out_of_training_are_not_calibrated_on(
     run: Run, tiny_model: Path, tmp_path: Path, blob_sequence
 ) -> None:
-    data = blob_sequence("alpha", [(100, 80, 40, 30), (110, 80, 40, 30)])
+    data = blob_sequence("beta", [(100, 80, 40, 30), (110, 80, 40, 30)])
     args = ("export", tiny_model, "-o", tmp_path / "graphs", "--pairs", "4", "--data", f"folder:{data}")
-    assert "no usable box" in run(*args, "--held-out-every", 1).refused()
+    assert "--held-out-every 1 holds out beta: give more clips" in run(*args, "--held-out-every", 1).refused()
     assert run(*args, "--held-out-every", 0).code == 0
 
 

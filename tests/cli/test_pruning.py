@@ -86,13 +86,14 @@ def test_rank_plan_prune_and_follow(run: Run, tiny_model: Path, clips: Path, tmp
     assert (again.code, again.err) == (0, "")
     assert json.loads(again.out) == facts
     (step,) = json.loads(run("info", fitted, "--json").out)["provenance"]["pruning"]
-    assert step["refit"] == {"data": [f"folder:{clips.name}"], "images": 3, "seed": 0, "held_out_every": 8}
+    assert step["refit"] == {"data": [f"folder:{clips.name}"], "images": 3, "seed": 0, "held_out_every": 10}
     old, new = load(pruned).state_dict(), load(fitted).state_dict()
     # conv2 was the first to be cut, so conv3 is the first that has something to make up for
     conv2, conv3 = (f"backbone.conv{i}.conv.weight" for i in (2, 3))
     assert torch.equal(old[conv2], new[conv2]) and not torch.equal(old[conv3], new[conv3])
     # every clip kept out leaves none to draw from
-    assert "no usable box" in run(*prune, "-o", tmp_path / "none.safetensors", "--held-out-every", 1).refused()
+    none = (*prune, "-o", tmp_path / "none.safetensors", "--held-out-every", 1)
+    assert "nothing is left of the data" in run(*none).refused()
     assert "images is 0" in run(*prune, "-o", tmp_path / "none.safetensors", "--images", 0).refused()
     assert not (tmp_path / "none.safetensors").exists()
     assert "no folder" in run(*prune, "-o", tmp_path / "missing" / "fitted.safetensors").refused()
@@ -290,9 +291,9 @@ def test_a_rank_table_alone_serves_no_other_criterion(run: Run, tiny_model: Path
 @pytest.mark.slow
 def test_clips_held_out_of_training_are_not_ranked(run: Run, tiny_model: Path, clips: Path, tmp_path: Path) -> None:
     args = ("rank", tiny_model, "--data", f"folder:{clips}", "-o", tmp_path / "ranks.json", "--images", 2)
-    assert "no usable box" in run(*args, "--held-out-every", 1).refused()
+    assert "nothing is left of the data" in run(*args, "--held-out-every", 1).refused()
     assert run(*args).code == 0
-    assert json.loads((tmp_path / "ranks.json").read_text())["held_out_every"] == 8
+    assert json.loads((tmp_path / "ranks.json").read_text())["held_out_every"] == 10
     # Another draw, so its ranks are not those to go on from.
     assert "remove it" in run(*args, "--held-out-every", 0).refused()
 

@@ -33,6 +33,13 @@ def test_every_sequence_is_on_one_side(entries: tuple[str, ...], every: int, hel
     assert choice.named == ["folder:clips", "stills:photos"]
 
 
+def test_what_holds_out_everything_is_named(entries: tuple[str, ...]):
+    choice = DataChoice(entries[:1], 1)
+    with pytest.raises(UserError, match=r"--held-out-every 1 holds out car1, car2, car3 \.\.\.: give more clips, or 0"):
+        _ = choice.training
+    assert len(choice.held_out) == 7
+
+
 def test_nothing_is_held_out_unless_asked_for(entries: tuple[str, ...]):
     assert DataChoice(entries).held_out == []
 

@@ -21,7 +21,7 @@ from psiamfcpp.images import is_readable
 _NAMED = 20
 
 HELD_OUT_EVERY = 10
-"""one clip in so many is held out, unless a command is told otherwise"""
+"""N of the commands that hold out one clip in N, unless another is given"""
 
 
 @dataclass(frozen=True)
@@ -52,9 +52,15 @@ class DataChoice:
         """Photographs, and the clips that are not held out.
 
         Raises:
-            UserError: a data set cannot be read.
+            UserError: a data set cannot be read, or all clips are held out and there are no photographs.
         """
-        return self._parts[0]
+        kept, held_out, _ = self._parts
+        if held_out and not kept:
+            raise UserError(
+                f"nothing is left of the data: --held-out-every {self.held_out_every} holds out "
+                f"{', '.join(clip.name for clip in held_out[:3])}{' ...' * (len(held_out) > 3)}: give more clips, or 0"
+            )
+        return kept
 
     @property
     def held_out(self) -> list[Sequence]:
