@@ -56,6 +56,24 @@ def test_the_papers_nine_rows() -> None:
     assert ALEXNET.ablation["everything"] == tuple(ALEXNET.groups) == tuple(ALEXNET.presets["paper"])
 
 
+def test_without_rows_of_its_own_each_group_is_one() -> None:
+    bare = dataclasses.replace(
+        ALEXNET, layers=tuple(dataclasses.replace(layer, ablation=None) for layer in ALEXNET.layers)
+    )
+    assert bare.ablation == {**{group: (group,) for group in ALEXNET.groups}, "everything": tuple(ALEXNET.groups)}
+
+
+def test_rows_of_lightfc() -> None:
+    rows = architecture("lightfc").ablation
+    assert list(rows) == [
+        "backbone.stem",
+        *(f"backbone.expand{i}" for i in range(1, 13)),
+        *(f"head.{i}" for i in range(1, 5)),
+        "everything",
+    ]
+    assert rows["head.1"] == ("head.score1", "head.size1", "head.offset1")
+
+
 def test_layers_thaw_from_the_last_to_the_first() -> None:
     assert list(ALEXNET.unfreeze.items()) == [
         ("conv5", 0.25), ("conv4", 0.5), ("conv3", 0.75), ("conv2", 1.0), ("conv1", 1.0),

@@ -32,7 +32,7 @@ def sensitivity(
         output: folder of the results.
         data: training sets, each LAYOUT:FOLDER; with them every network is measured after fine-tuning as well.
         options: of the fine-tuning.
-        rows: layers to prune alone; by default the paper's nine rows.
+        rows: layers to prune alone; by default the architecture's rows, for SiamFC++ the paper's nine.
         shares: shares of their filters to KEEP; by default 0.1, 0.2 ... 0.8.
         jobs: processes to share the work, one thread each.
     """

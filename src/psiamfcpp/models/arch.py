@@ -208,11 +208,15 @@ class Architecture:
 
     @functools.cached_property
     def ablation(self) -> dict[str, tuple[str, ...]]:
-        """Groups that each row of the ablation prunes; the last row prunes all."""
+        """Groups that each row of the ablation prunes; the last row prunes all.
+
+        Where the table names no rows, each group is one.
+        """
         rows: dict[str, list[str]] = {}
         for layer in self.layers:
             if layer.ablation and layer.group and layer.group not in rows.setdefault(layer.ablation, []):
                 rows[layer.ablation].append(layer.group)
+        rows = rows or {group: [group] for group in self.groups}
         return {**{row: tuple(groups) for row, groups in rows.items()}, "everything": tuple(self.groups)}
 
     @functools.cached_property

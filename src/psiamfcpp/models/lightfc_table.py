@@ -5,6 +5,7 @@ MobileNetV2 to stride 16, pixel-wise correlation with squeeze-and-excitation, an
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Iterator
 
@@ -21,12 +22,18 @@ _HEAD_WIDTHS, _SQUEEZED = (256, 128, 64, 32), 64
 
 
 def _convolution(
-    name: str, read: str, width: int, activation: str | None = None, kernel: int = 1, group: str | None = None
+    name: str,
+    read: str,
+    width: int,
+    activation: str | None = None,
+    kernel: int = 1,
+    group: str | None = None,
+    ablation: str | None = None,
 ) -> Layer:
     """Return a convolution without BatchNorm, padded so that it keeps the side."""
+    layer = Layer(name, (read,), width, kernel, bn=False, padding=kernel // 2, group=group, ablation=ablation)
     relu, other = activation == "relu", None if activation == "relu" else activation
-    padding = kernel // 2
-    return Layer(name, (read,), width, kernel, bn=False, padding=padding, relu=relu, activation=other, group=group)
+    return dataclasses.replace(layer, relu=relu, activation=other)
 
 
 def _operation(name: str, operation: str, *reads: str, width: int = 0) -> Layer:
@@ -43,7 +50,8 @@ def _depthwise(name: str, read: str, stride: int = 1, activation: str | None = N
 def _backbone() -> Iterator[Layer]:
     """Yield the rows of the backbone; the expanded width of each block is a group."""
     stem = "backbone.stem"
-    yield Layer(stem, (PIXELS,), _STEM, 3, 2, bn=False, padding=1, relu=False, activation="relu6", group=stem)
+    first = _convolution(stem, PIXELS, _STEM, "relu6", 3, group=stem, ablation=stem)
+    yield dataclasses.replace(first, stride=2)
     yield _depthwise("backbone.depthwise0", stem, activation="relu6")
     yield _convolution("backbone.project0", "backbone.depthwise0", 16)
     before, width = "backbone.project0", 16
@@ -51,7 +59,7 @@ def _backbone() -> Iterator[Layer]:
         expand, depthwise, project, total = (
             f"backbone.{name}{number}" for name in ("expand", "depthwise", "project", "sum")
         )
-        yield _convolution(expand, before, _EXPANSION * width, "relu6", group=expand)
+        yield _convolution(expand, before, _EXPANSION * width, "relu6", group=expand, ablation=expand)
         yield _depthwise(depthwise, expand, stride, "relu6")
         yield _convolution(project, depthwise, outputs)
         if stride == 1 and outputs == width:
@@ -83,7 +91,7 @@ def _fusion(features: str) -> Iterator[Layer]:
 def _head(name: str, read: str, maps: int, last: str | None) -> Iterator[Layer]:
     for number, width in enumerate(_HEAD_WIDTHS, start=1):
         row = f"head.{name}{number}"
-        yield _convolution(row, read, width, "relu", 3, group=row)
+        yield _convolution(row, read, width, "relu", 3, group=row, ablation=f"head.{number}")
         if number == 1:
             yield from _gated(row, row, width, row)
         read = f"{row}_gate" if number == 1 else row
