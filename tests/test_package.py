@@ -92,7 +92,9 @@ def test_a_users_script_passes_the_strict_type_check(tmp_path: Path):
     (tmp_path / "script.py").write_text(SCRIPT)
     # an empty file of settings, so that none of the machine's are taken
     (tmp_path / "mypy.ini").write_text("[mypy]\n")
-    command = [sys.executable, "-m", "mypy", "--strict", "--follow-imports=silent", "script.py"]
+    # kept from run to run, as it takes half a minute to make
+    cache = Path(__file__).parents[1] / ".mypy_cache" / "users_script"
+    command = [sys.executable, "-m", "mypy", "--strict", "--follow-imports=silent", f"--cache-dir={cache}", "script.py"]
     environment = {**os.environ, "MYPYPATH": SOURCE}
     done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True)
     assert (done.returncode, done.stderr) == (0, ""), done.stdout
