@@ -14,6 +14,7 @@ import pytest
 from psiamfcpp.errors import UserError
 
 
+@pytest.mark.slow
 def test_a_model_agrees_with_itself_and_less_with_another(
     script: ModuleType,
     tiny_model: Path,

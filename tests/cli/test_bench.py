@@ -68,6 +68,7 @@ def test_rows_for_programs(run: Run, tiny_graphs: Path) -> None:
     assert {"cpu", "flags", "threads", "load", "noise", "noisy", "read_ms"} <= set(told)
 
 
+@pytest.mark.slow
 def test_a_sequence_of_frames_is_followed(run: Run, tiny_graphs: Path, blob_sequence) -> None:
     root = blob_sequence("blob", [(100 + i, 80, 40, 30) for i in range(3)])
     args = ("bench", "--models", tiny_graphs, "--engines", "onnx", "--rounds", 1, "--threads", 1)

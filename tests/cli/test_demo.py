@@ -45,6 +45,7 @@ def test_demo_writes_a_video_and_says_how_well_it_went(run: Run, tmp_path: Path,
     assert sorted(p.name for p in tmp_path.iterdir()) == ["demo-clip.mp4", "demo.mp4"]
 
 
+@pytest.mark.slow
 def test_demo_writes_to_the_working_folder_by_default(
     run: Run, tmp_path: Path, tiny_model: Path, small: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -56,6 +57,7 @@ def test_demo_writes_to_the_working_folder_by_default(
     assert count_frames(tmp_path / "demo.mp4") == 2
 
 
+@pytest.mark.slow
 def test_the_printed_command_follows_the_clean_clip(
     run: Run,
     tmp_path: Path,
@@ -88,6 +90,7 @@ def test_an_existing_clean_clip_is_kept(run: Run, tmp_path: Path, tiny_model: Pa
     assert kept.read_text() == "a video of mine"
 
 
+@pytest.mark.slow
 def test_of_a_tracker_without_states_none_is_counted(
     run: Run, tmp_path: Path, rendered_clip: list[DemoFrame], monkeypatch: pytest.MonkeyPatch
 ) -> None:

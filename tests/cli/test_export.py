@@ -88,6 +88,7 @@ def test_what_is_near_enough() -> None:
     Difference(0.2, 3.0, 0.95).check(int8=True)
 
 
+@pytest.mark.slow
 def test_clips_held_out_of_training_are_not_calibrated_on(
     run: Run, tiny_model: Path, tmp_path: Path, blob_sequence
 ) -> None:

@@ -36,6 +36,7 @@ def test_info_describes_a_narrow_model(run: Run, tiny_model: Path) -> None:
     assert facts["constants"]["test_lr"] == 0.5249642198880932
 
 
+@pytest.mark.slow
 def test_info_of_the_unpruned_network_gives_the_figures_of_the_paper(run: Run, full_model: Path) -> None:
     facts = json.loads(run("info", full_model, "--json").out)
     assert facts["parameters"] == 9_655_380

@@ -174,6 +174,7 @@ def test_a_wrong_value_is_named(run: Run, args: list[str], part: str) -> None:
     assert part in run(*args).refused()
 
 
+@pytest.mark.slow
 def test_the_module_can_be_started_and_its_reader_may_leave() -> None:
     """As in `psiamfcpp track --help | head -1`; with Python's own buffer, which is written at the very end."""
     environment = {k: v for k, v in os.environ.items() if k != "PYTHONUNBUFFERED"}

@@ -210,6 +210,7 @@ def test_a_budget_of_time_halves_its_way(run: Run, full_table: Path, monkeypatch
     assert ended.code == 2 and "no plan takes 0.01 ms" in ended.err.splitlines()[-1]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("timing", "engine", "precision"),
     [

@@ -60,6 +60,7 @@ def test_without_matplotlib_the_message_names_the_extra(
     )
 
 
+@pytest.mark.slow
 def test_published_boxes(run: Run, shared_data: Path, tmp_path: Path) -> None:
     """Boxes that others published, with the figures that they published."""
     folders = (shared_data / "results", "-o", tmp_path / "out", "--annotations", shared_data / "anno" / "UAVDT")

@@ -221,6 +221,7 @@ def test_a_wrong_option_is_refused_and_leaves_nothing(
     assert names(outputs) == []
 
 
+@pytest.mark.slow
 def test_a_video_that_is_cut_off_is_followed_as_far_as_it_goes(
     run: Run, tiny_model: Path, tmp_path: Path, outputs: Path
 ) -> None:

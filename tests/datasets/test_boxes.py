@@ -82,6 +82,7 @@ def test_only_a_short_last_line_looks_like_a_cut_file(tmp_path: Path, text: str,
     assert ("cut" in str(caught.value)) is cut
 
 
+@pytest.mark.slow
 @given(
     arrays(np.float64, st.tuples(st.integers(0, 5), st.just(4)), elements=st.floats(-1e6, 1e6) | st.just(np.nan)),
     st.integers(0, 6),

@@ -172,6 +172,7 @@ def test_what_is_not_whole_is_done_again(
     assert results(tmp_path / "r" / "folder" / "Slow") == whole
 
 
+@pytest.mark.slow
 def test_several_trackers_side_by_side_leave_the_same_as_one_by_one(root: Path, module: str, tmp_path: Path) -> None:
     sequences = datasets.read("folder", root)
     (root / "car3" / "img" / "0002.png").write_bytes(b"no image")
@@ -224,6 +225,7 @@ def test_a_dask_cluster_of_two_workers(root: Path, module: str, tmp_path: Path) 
         assert there.keys() == {*NAMES}
 
 
+@pytest.mark.slow
 def test_a_cluster_that_does_not_answer(root: Path, module: str, tmp_path: Path) -> None:
     pytest.importorskip("distributed", reason="dask[distributed] is not installed")
     sequences, choices = datasets.read("folder", root), [choose(f"{module}:Slow")]
@@ -247,6 +249,7 @@ def test_a_folder_keeps_to_one_tracker(root: Path, tiny_model: Path, tmp_path: P
         run([choose(str(tiny_model))], "folder", root, sequences * 2, tmp_path / "r")
 
 
+@pytest.mark.slow
 def test_threads_are_stated_only_if_they_were_the_same(
     root: Path, tiny_model: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

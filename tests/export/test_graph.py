@@ -171,6 +171,7 @@ def test_channels_and_the_weights_that_read_them_are_brought_nearer_to_each_othe
     assert _factors(np.append(peaks[:7], 0).astype(np.float32), reader, ["reader"])[7] > 0
 
 
+@pytest.mark.slow
 def test_each_layer_is_judged_alone(network: SiamFCpp, ranges: Ranges, pairs: list[Pair]) -> None:
     by_layer = dict(losses(network.spec, layers(network), ranges, pairs[:1]))
     assert set(by_layer) == set(ranges.inputs)

@@ -79,6 +79,7 @@ def test_widening_without_noise_keeps_the_function(write, weights, crops, monkey
     assert (network.backbone(image) - x).norm() < 1e-3 * x.norm()
 
 
+@pytest.mark.slow
 @torch.no_grad()
 def test_widening_with_noise_nearly_keeps_it(write, crops, monkeypatch: pytest.MonkeyPatch):
     noisy, exact = SiamFCpp().eval(), SiamFCpp().eval()

@@ -56,6 +56,7 @@ def test_the_spec_survives(make_network, tmp_path: Path):
     assert load(tmp_path / "m.safetensors").spec == network.spec
 
 
+@pytest.mark.slow
 def test_half_precision_is_smaller_and_close(make_network, tmp_path: Path):
     network = make_network()
     half, full = tmp_path / "half.safetensors", tmp_path / "full.safetensors"

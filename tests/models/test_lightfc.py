@@ -89,6 +89,7 @@ def test_a_box_from_its_cell_size_and_offset() -> None:
     assert to_boxes(size[..., :12, :12], offset[..., :12, :12])[0, 3, 7].tolist() == box.tolist()
 
 
+@pytest.mark.slow
 def test_a_batch_is_its_crops_one_by_one(network: LightFC) -> None:
     z, x = torch.cat([crops(128, 1), crops(128, 2)]), torch.cat([crops(256, 3), crops(256, 4)])
     with torch.inference_mode():

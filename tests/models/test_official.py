@@ -51,6 +51,7 @@ def test_the_state_has_the_official_names(state: dict[str, Tensor]):
     assert {"head.cls_p5_conv1.conv.weight", "head.bbox_offsets_p5.bn.weight"} <= set(state)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "variant",
     [

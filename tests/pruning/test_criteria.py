@@ -79,6 +79,7 @@ def test_random_is_random_by_seed() -> None:
     assert (first == again).all() and (first != other).any()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("criterion", CRITERIA)
 def test_every_criterion_scores_our_groups(
     siamese: SiamFCpp, pair: tuple[torch.Tensor, torch.Tensor], criterion: str

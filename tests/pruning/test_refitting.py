@@ -67,6 +67,7 @@ def test_keeping_everything_changes_no_bit(residual: nn.Module) -> None:
     assert all(torch.equal(value, residual.state_dict()[key]) for key, value in fitted.state_dict().items())
 
 
+@pytest.mark.slow
 def test_residual_and_grouped_networks_come_nearer_to_what_they_were(residual: nn.Module) -> None:
     groups = find_groups(residual, images(0)[0])
     half = Plan(

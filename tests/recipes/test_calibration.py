@@ -160,6 +160,7 @@ def test_gather_looks_as_the_procedure_of_the_architecture_does(clips: list[data
     assert np.median(rows.peak[rows.absent]) == pytest.approx(0.01)
 
 
+@pytest.mark.slow
 def test_gather_is_reproducible(blob_engine: Any, clips: list[datasets.Sequence]) -> None:
     a, b, c = (gather(Tracker(plain=True), clips, seed) for seed in (3, 3, 4))
     assert_array_equal(a.peak, b.peak)

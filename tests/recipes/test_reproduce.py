@@ -146,6 +146,7 @@ def test_result_files_will_do_without_frames(benchmarks: Path, tmp_path: Path) -
     assert "BMX3: its frames are not at hand." in done.files[0].read_text()
 
 
+@pytest.mark.slow
 def test_of_two_trackers_of_one_name_ours_stands(benchmarks: Path, blob_engine: Any, tmp_path: Path) -> None:
     for tracker in ("P-SiamFC++", "HiFT"):
         write_boxes(tmp_path / "theirs" / "uavdt" / tracker, "S0304", np.array(PATH) + 100)
@@ -163,6 +164,7 @@ def test_results_that_cannot_be_scored_are_named_before_anything_is_run(
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.slow
 def test_a_deep_tracker_that_cannot_be_opened_is_named_and_left_out(
     benchmarks: Path, blob_engine: Any, tmp_path: Path
 ) -> None:

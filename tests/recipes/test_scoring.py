@@ -17,6 +17,7 @@ from psiamfcpp.recipes.scoring import loss_gradients  # noqa: E402
 from psiamfcpp.training.options import PairOptions, TrainOptions  # noqa: E402
 
 
+@pytest.mark.slow
 def test_taylor_knows_what_the_loss_of_lightfc_depends_on(blob_sequence: Callable[..., Path]) -> None:
     root = blob_sequence("ride", [(100 + 3 * t, 80, 40, 30) for t in range(4)])
     network = random_lightfc(widths=dict.fromkeys(TABLE.groups, 4))

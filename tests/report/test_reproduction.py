@@ -55,6 +55,7 @@ def cells(found: Reproduction, table: int, name: str, place: int = 0) -> list[st
     return [cell.text for cell in rows[place].cells]
 
 
+@pytest.mark.slow
 def test_averages_stand_beside_the_papers_with_their_difference(four: Reproduction) -> None:
     auc = f"{100 * four.comparisons[0].measured[0].mean['otb'].figures['auc']:.1f}"
     assert cells(four, 1, "KCF") == ["53.3", "otb", "622.5", "50.0", "50.0", auc, "301.5", "-3.3", ""]
@@ -62,6 +63,7 @@ def test_averages_stand_beside_the_papers_with_their_difference(four: Reproducti
     assert cells(four, 1, "STRCF")[3:] == ["\u2013"] * 5 + ["not measured"]
 
 
+@pytest.mark.slow
 def test_a_difference_needs_the_same_benchmarks_whole(four: Reproduction) -> None:
     three = dataclasses.replace(four, comparisons=four.comparisons[:3])
     assert cells(three, 1, "KCF")[7:] == ["\u2013", "over UAV123@10fps, DTB70, UAVDT only"]
@@ -71,6 +73,7 @@ def test_a_difference_needs_the_same_benchmarks_whole(four: Reproduction) -> Non
     assert "UAV123@10fps (1 of 123 sequences)" in tables(partial)[1].caption
 
 
+@pytest.mark.slow
 def test_speed_on_a_gpu_is_that_of_the_run_there(four: Reproduction) -> None:
     assert cells(four, 2, "P-SiamFC++")[3:7] == ["75.0", "75.0", "200.0", "-5.7"]
     assert cells(four, 3, "P-SiamFC++", 2)[:5] == ["7.49 M", "got10k", "75.0", "40.0", "200.0"]
@@ -87,6 +90,7 @@ def test_a_run_with_states_is_not_the_published_procedure(four: Reproduction) ->
     assert cells(dataclasses.replace(four, comparisons=changed), 1, "P-SiamFC++")[-1] == "not measured"
 
 
+@pytest.mark.slow
 def test_ratios_stand_below_the_papers(four: Reproduction) -> None:
     ratios = [
         {"layer": "L1 (Head)", "share": 0.2, "tuned": tuned, "precision": 0.5 + tuned / 4} for tuned in (False, True)

@@ -192,6 +192,7 @@ def test_an_unreadable_frame_costs_its_strip_alone(comparison: Comparison) -> No
 # the page
 
 
+@pytest.mark.slow
 def test_a_report_is_whole_and_needs_nothing_else(report: list[Path]) -> None:
     shown, *files = report
     output = shown.parent

@@ -60,6 +60,7 @@ def test_a_gpu_that_is_there_is_taken_by_its_number(monkeypatch: pytest.MonkeyPa
     assert torch_device(Device(text, 1)) == torch.device(expected)  # type: ignore[arg-type]
 
 
+@pytest.mark.slow
 def test_a_gpu_computes_in_half_precision(tiny_model: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     full = open_engine(str(tiny_model), "torch", 1)
     monkeypatch.setattr(torch_engine, "torch_device", lambda device: torch.device("cpu"))

@@ -19,6 +19,7 @@ from psiamfcpp.serve.limits import Buckets
 from .conftest import BLOB, TOKEN, Clock, ask, browse, live, served, state, until
 
 
+@pytest.mark.slow
 def test_one_operates_and_others_watch(address: str, http: httpx.Client, follower: Follower) -> None:
     with live(address) as first, live(address) as second:
         assert ask(first, type="start", box=BLOB)["ok"]
@@ -109,6 +110,7 @@ def test_the_one_in_control_sees_that_it_is_asked(address: str) -> None:
         assert second.get("/api/state").json()["operator"] == "you"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("given", [None, "wrong", TOKEN[:-1], TOKEN + "x", "ü" * 20])
 def test_a_wrong_token_opens_nothing(control: Control, given: str | None) -> None:
     headers = {} if given is None else {"Authorization": f"Bearer {given}".encode()}
@@ -124,6 +126,7 @@ def test_a_wrong_token_opens_nothing(control: Control, given: str | None) -> Non
         assert refusal.value.response.status_code == 401
 
 
+@pytest.mark.slow
 def test_the_token_opens_everything(control: Control) -> None:
     with served(control, token=TOKEN) as address:
         with browse(address) as http:
@@ -169,6 +172,7 @@ def test_tokens_that_cannot_be_sent_or_can_be_guessed_are_refused(token: str) ->
         assert token not in str(caught.value) or not token
 
 
+@pytest.mark.slow
 def test_every_token_that_is_taken_can_be_sent(control: Control) -> None:
     token = "".join(map(chr, range(0x21, 0x7F))) + " and a blank"
     check_address("0.0.0.0", token)
@@ -207,6 +211,7 @@ def test_cookies_are_read_as_they_are_written(header: str, value: str) -> None:
     assert _cookie(header) == value
 
 
+@pytest.mark.slow
 def test_tokens_cannot_be_guessed_at_any_rate(control: Control, monkeypatch: pytest.MonkeyPatch) -> None:
     clock = Clock()
     monkeypatch.setattr("psiamfcpp.serve.guard.Buckets", partial(Buckets, clock=clock))

@@ -21,6 +21,7 @@ from psiamfcpp.trackers import TargetPool
 from .conftest import BLOB, HEIGHT, TIMEOUT_S, WIDTH, Stream, ask, browse, later, live, served, state, until
 
 
+@pytest.mark.slow
 def test_a_target_is_started_followed_and_stopped_by_rest(http: httpx.Client, stream: Stream) -> None:
     answer = http.post("/api/targets", json={"box": BLOB})
     assert (answer.status_code, answer.json()) == (201, {"id": 1, "box": list(BLOB)})
@@ -41,6 +42,7 @@ def test_a_target_is_started_followed_and_stopped_by_rest(http: httpx.Client, st
     assert [event["number"] for event in http.get("/api/events", params={"after": 1}).json()] == [2]
 
 
+@pytest.mark.slow
 def test_a_model_that_states_nothing_is_served(stream: Stream, blob_engine: Any) -> None:
     blob_engine.spec = dataclasses.replace(blob_engine.spec, calibration=None)
     with Follower(stream.open, TargetPool()) as follower:
@@ -60,6 +62,7 @@ def test_a_point_becomes_a_box(http: httpx.Client) -> None:
     assert http.post("/api/targets", json={"point": [118, 94]}).json()["box"] == pytest.approx(BLOB, abs=3)
 
 
+@pytest.mark.slow
 def test_several_targets_and_the_chosen_one(http: httpx.Client, stream: Stream, follower: Follower) -> None:
     stream.blobs = [BLOB, (520, 380, 30, 40)]
     later(follower)
@@ -72,6 +75,7 @@ def test_several_targets_and_the_chosen_one(http: httpx.Client, stream: Stream, 
     until(lambda: not http.get("/api/state").json()["targets"])
 
 
+@pytest.mark.slow
 def test_the_socket_tells_of_frames_and_obeys(address: str, stream: Stream) -> None:
     with live(address) as socket:
         first = state(socket)
@@ -98,6 +102,7 @@ def test_latency_is_measured_and_told(address: str) -> None:
         assert told["tracker_ms"] >= 0
 
 
+@pytest.mark.slow
 def test_pictures_come_when_asked_for_with_the_state_of_their_frame(address: str, stream: Stream) -> None:
     with live(address) as socket:
         assert not state(socket)["jpeg"]
@@ -119,6 +124,7 @@ def test_pictures_come_when_asked_for_with_the_state_of_their_frame(address: str
         assert image[95, 120].mean() > 200
 
 
+@pytest.mark.slow
 def test_pictures_for_other_programs(http: httpx.Client) -> None:
     http.post("/api/targets", json={"box": BLOB})
     plain = http.get("/api/frame.jpg")
@@ -136,6 +142,7 @@ def test_pictures_for_other_programs(http: httpx.Client) -> None:
     assert image[80, 110, 1] > image[80, 110, 2] + 60
 
 
+@pytest.mark.slow
 def test_a_silent_stream_is_told_and_so_is_its_return(
     address: str, stream: Stream, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -156,6 +163,7 @@ def test_bearings_are_told_where_the_field_of_view_is_known(control: Control) ->
         assert target["bearing"]["elevation_deg"] > 10
 
 
+@pytest.mark.slow
 def test_the_description_names_every_way_in(http: httpx.Client) -> None:
     paths = http.get("/openapi.json").json()["paths"]
     assert paths.keys() == {

@@ -137,6 +137,7 @@ def test_nonsense_after_an_answer_is_not_logged(
     assert capfd.readouterr() == ("", "")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "frames",
     [

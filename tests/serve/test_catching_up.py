@@ -37,6 +37,7 @@ def texts(follower: Follower) -> list[str]:
     return [event.text for event in follower.events()]
 
 
+@pytest.mark.slow
 def test_a_target_catches_up_from_the_frame_that_it_was_drawn_on(follower: Follower, stream: Stream) -> None:
     drawn_on = number(follower)
     assert follower.ring.hold("page", drawn_on)
@@ -50,6 +51,7 @@ def test_a_target_catches_up_from_the_frame_that_it_was_drawn_on(follower: Follo
     assert texts(follower) == ["target 1 is followed"]
 
 
+@pytest.mark.slow
 def test_others_are_not_followed_in_older_frames_meanwhile(
     follower: Follower, stream: Stream, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -97,6 +99,7 @@ def test_what_cannot_replace_leaves_all_as_it_was(follower: Follower, box: Any, 
     assert list(follower.newest.tracks) == [1]
 
 
+@pytest.mark.slow
 def test_clients_draw_on_the_frame_that_they_hold(address: str, follower: Follower, stream: Stream) -> None:
     with live(address) as socket:
         drawn_on = state(socket)["frame"]

@@ -96,6 +96,7 @@ def choosing(clip: Path) -> Iterator[Choosing]:
         running.end()
 
 
+@pytest.mark.slow
 def test_what_is_chosen_is_returned_with_the_frames_from_there(choosing: Choosing) -> None:
     choosing.enter()
     about = choosing.http.get("/api/source").json()
@@ -132,6 +133,7 @@ def test_a_frame_far_ahead_is_reached_by_stages_and_back_at_once(choosing: Choos
         assert choosing.frame(number=back)[0] == back
 
 
+@pytest.mark.slow
 def test_behind_the_end_is_the_last_frame(choosing: Choosing) -> None:
     choosing.enter()
     answer = None

@@ -115,6 +115,7 @@ def test_a_stream_that_breaks_is_opened_again_and_keeps_its_targets(
     assert sum("cannot be opened" in event.text for event in follower.events()) == 1
 
 
+@pytest.mark.slow
 def test_a_file_is_played_at_its_rate_and_over_again(stream: Stream, blob_engine: Any) -> None:
     stream.live, stream.length, stream.fps = False, 10, 50.0
     with Follower(stream.open, TargetPool()) as follower:

@@ -167,6 +167,7 @@ def test_a_crowd_keeps_nobody_out(
             state(watching)
 
 
+@pytest.mark.slow
 def test_a_body_that_comes_byte_by_byte_has_as_long_as_any(
     control: Control, crowd: list[socket.socket], monkeypatch: pytest.MonkeyPatch
 ) -> None:

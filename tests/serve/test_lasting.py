@@ -41,6 +41,7 @@ def test_those_who_connect_and_say_nothing_keep_nobody_out(control: Control, mon
             assert http.get("/api/state").status_code == 200
 
 
+@pytest.mark.slow
 def test_a_body_that_does_not_come_is_not_waited_for(address: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("psiamfcpp.serve.guard._BODY_S", 0.2)
     host, port = address.split(":")
@@ -49,6 +50,7 @@ def test_a_body_that_does_not_come_is_not_waited_for(address: str, monkeypatch: 
         assert slow.recv(4096).startswith(b"HTTP/1.1 4")
 
 
+@pytest.mark.slow
 def test_a_request_that_breaks_off_is_not_carried_out(address: str, http: httpx.Client) -> None:
     host, port = address.split(":")
     head = b"POST /api/operator HTTP/1.1\r\nHost: 127.0.0.1\r\nX-Client: broken\r\nContent-Length: "
@@ -63,6 +65,7 @@ def test_a_request_that_breaks_off_is_not_carried_out(address: str, http: httpx.
     assert http.get("/api/state").json()["operator"] == "other"
 
 
+@pytest.mark.slow
 def test_a_client_that_reads_slowly_reads_what_is_new(address: str, stream: Stream, follower: Follower) -> None:
     stream.fps = 200
     with live(address, max_queue=1) as slow:

@@ -128,6 +128,7 @@ def unharmed(follower: Follower, number: int = 1) -> None:
 # what it says of itself
 
 
+@pytest.mark.slow
 def test_it_is_a_camera_whose_heart_beats(station: Station) -> None:
     first = station.wait("HEARTBEAT", type=mav.MAV_TYPE_CAMERA, autopilot=mav.MAV_AUTOPILOT_INVALID)
     second = station.wait("HEARTBEAT")
@@ -183,6 +184,7 @@ def test_older_ways_of_asking_are_understood(station: Station) -> None:
     station.wait("CAMERA_INFORMATION")
 
 
+@pytest.mark.slow
 def test_an_rtsp_source_is_offered_to_ground_stations(control: Control, port: int) -> None:
     link = open_link(f"udpin:127.0.0.1:{port}")
     with Camera(control, link, SYSTEM, fov=60, stream="rtsp://10.0.0.2/main"):
@@ -205,6 +207,7 @@ def test_an_rtsp_source_is_offered_to_ground_stations(control: Control, port: in
 # what it is told
 
 
+@pytest.mark.slow
 def test_a_rectangle_is_followed_and_its_status_streamed(station: Station, stream: Stream, follower: Follower) -> None:
     interval = 50_000
     number = mav.MAVLINK_MSG_ID_CAMERA_TRACKING_IMAGE_STATUS
@@ -228,6 +231,7 @@ def test_a_rectangle_is_followed_and_its_status_streamed(station: Station, strea
     until(lambda: follower.newest and not follower.newest.tracks)
 
 
+@pytest.mark.slow
 def test_the_stream_comes_at_the_rate_that_was_asked_for(station: Station) -> None:
     number = mav.MAVLINK_MSG_ID_CAMERA_TRACKING_IMAGE_STATUS
     start = time.monotonic()
@@ -336,6 +340,7 @@ def test_two_stations_are_both_told_and_one_commands(join: Callable[..., Station
     assert second.ask(mav.MAV_CMD_CAMERA_TRACK_RECTANGLE, *RECTANGLE) == mav.MAV_RESULT_ACCEPTED
 
 
+@pytest.mark.slow
 def test_commands_for_others_are_left_alone(station: Station) -> None:
     track, takeoff = mav.MAV_CMD_CAMERA_TRACK_RECTANGLE, mav.MAV_CMD_NAV_TAKEOFF
     station.command(track, *RECTANGLE, component=mav.MAV_COMP_ID_CAMERA2)
@@ -485,6 +490,7 @@ def test_stations_with_the_same_numbers_are_two(join: Callable[..., Station], co
             assert not ask(page, type="stop")["ok"]
 
 
+@pytest.mark.slow
 def test_a_flood_of_one_station_costs_no_other_a_command(
     control: Control, port: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -567,6 +573,7 @@ def test_whoever_speaks_from_ever_new_ports_pushes_out_itself() -> None:
 # how it lasts
 
 
+@pytest.mark.slow
 def test_random_bytes_and_broken_packets_harm_nothing(station: Station, port: int, follower: Follower) -> None:
     follower.add(BLOB)
     rng = random.Random(0)

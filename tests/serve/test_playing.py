@@ -69,6 +69,7 @@ def test_while_paused_only_what_was_asked_for_is_shown(player: Follower) -> None
     assert not player.paused
 
 
+@pytest.mark.slow
 def test_a_target_is_followed_on_after_a_pause(folder: Path, blob_engine: Any) -> None:
     # so slowly that no machine skips a frame, or is late before the file starts again
     with Follower(lambda tell: open_source(folder, fps=2, on_event=tell), TargetPool()) as player:

@@ -49,6 +49,7 @@ def size_of(path: Path) -> int:
     return path.stat().st_size if path.exists() else 0
 
 
+@pytest.mark.slow
 def test_a_recording_has_its_video_and_its_boxes(recorder: Recorder, follower: Follower, tmp_path: Path) -> None:
     follower.add(BLOB)
     recorder.start()
@@ -72,6 +73,7 @@ def test_a_recording_has_its_video_and_its_boxes(recorder: Recorder, follower: F
     assert seconds == sorted(seconds)
 
 
+@pytest.mark.slow
 def test_frames_are_on_disk_while_it_records(recorder: Recorder, follower: Follower, tmp_path: Path) -> None:
     recorder.start()
     (folder,) = (tmp_path / "records").iterdir()
@@ -115,6 +117,7 @@ def test_an_encoder_that_is_too_slow_does_not_fall_behind(tmp_path: Path, monkey
     assert times[-1] - times[0] == pytest.approx(1100, abs=2)
 
 
+@pytest.mark.slow
 def test_frames_for_which_the_encoder_has_no_time_are_left_out(
     recorder: Recorder, follower: Follower, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -96,6 +96,7 @@ def test_without_recording_there_is_nothing_to_fetch(address: str) -> None:
         assert http.get("/api/recordings/x/video.mkv").status_code == 404
 
 
+@pytest.mark.slow
 def test_a_snapshot_is_the_whole_image_with_or_without_boxes(http: httpx.Client, follower: Follower) -> None:
     http.post("/api/targets", json={"box": BLOB})
     until(lambda: follower.newest and follower.newest.tracks)

@@ -58,6 +58,7 @@ def test_targets_that_are_none_cannot_be_stopped(http: httpx.Client, path: str) 
     assert (answer.status_code, list(answer.json())) == (422, ["error"])
 
 
+@pytest.mark.slow
 def test_oversized_bodies_are_refused(http: httpx.Client, follower: Follower) -> None:
     http.post("/api/targets", json={"box": BLOB})
     large = b" " * 200_000
@@ -70,6 +71,7 @@ def test_oversized_bodies_are_refused(http: httpx.Client, follower: Follower) ->
     unharmed(follower)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "message",
     [
@@ -127,6 +129,7 @@ def test_a_client_that_only_makes_mistakes_is_sent_away(address: str, follower: 
     unharmed(follower)
 
 
+@pytest.mark.slow
 def test_what_clients_do_wrong_is_not_logged(
     capfd: pytest.CaptureFixture[str], address: str, follower: Follower, http: httpx.Client
 ) -> None:
@@ -178,6 +181,7 @@ def timeless(control: Control) -> None:
     control._bucket = Bucket(_COMMANDS_PER_S, _COMMANDS_AT_ONCE, lambda: 0.0)
 
 
+@pytest.mark.slow
 def test_starts_are_limited(address: str, follower: Follower, timeless: None, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("psiamfcpp.serve.live._MESSAGES_AT_ONCE", 1e6)
     follower.add(BLOB)
@@ -195,6 +199,7 @@ def test_starts_are_limited(address: str, follower: Follower, timeless: None, mo
     unharmed(follower)
 
 
+@pytest.mark.slow
 def test_who_sends_too_much_is_sent_away(address: str, follower: Follower, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("psiamfcpp.serve.live.Bucket", lambda *_: Bucket(0.0, 0.0))
     follower.add(BLOB)

@@ -82,6 +82,7 @@ def test_a_refused_box_costs_no_number_and_no_target(blob_engine: Any, blob_fram
         pool.update(None)  # type: ignore[arg-type]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("plain", [False, True])
 def test_a_pool_says_what_trackers_alone_would_say(tiny_model: Path, plain: bool) -> None:
     rng = np.random.default_rng(3)

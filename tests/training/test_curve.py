@@ -21,6 +21,7 @@ def log(tmp_path: Path) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_a_picture_comes_out(log: Path):
     picture = log.with_name("curve.png")
     draw_curve(log, picture)
@@ -41,6 +42,7 @@ def test_more_rows_give_another_picture(log: Path):
     assert one.read_bytes() != two.read_bytes()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("text", ["", json.dumps(ROW) + "\n"], ids=["empty", "one row"])
 def test_short_logs(tmp_path: Path, text: str):
     (tmp_path / "log.jsonl").write_text(text)
@@ -48,6 +50,7 @@ def test_short_logs(tmp_path: Path, text: str):
     assert cv2.imread(str(tmp_path / "curve.png")) is not None
 
 
+@pytest.mark.slow
 def test_separation_may_be_undefined(tmp_path: Path):
     row = {**ROW, "validation": {**CHECK, "separation": None}}
     (tmp_path / "log.jsonl").write_text(json.dumps(row) + "\n")

@@ -123,6 +123,7 @@ def test_a_run_killed_and_resumed_ends_alike_to_the_bit(start: Start, tmp_path: 
     assert rows(resumed)[0]["validation"] == rows(straight)[0]["validation"]
 
 
+@pytest.mark.slow
 def test_saving_more_often_changes_nothing(start: Start, tmp_path: Path):
     list(start(options(4), folder="once"))
     list(start(options(4), folder="often", save_every=1, validate_every=1))
@@ -131,6 +132,7 @@ def test_saving_more_often_changes_nothing(start: Start, tmp_path: Path):
     ).read_bytes()
 
 
+@pytest.mark.slow
 def test_a_finished_run_is_left_as_it_is(start: Start, tmp_path: Path):
     list(start(options(2)))
     before = {p.name: p.read_bytes() for p in (tmp_path / "run").iterdir()}
@@ -162,6 +164,7 @@ def test_a_run_killed_between_model_and_state_does_its_last_steps_again(
     ).read_bytes()
 
 
+@pytest.mark.slow
 def test_log_rows_beyond_the_state_are_dropped(start: Start, tmp_path: Path):
     folder = tmp_path / "run"
     killed = start(options(4), save_every=2)
@@ -173,6 +176,7 @@ def test_log_rows_beyond_the_state_are_dropped(start: Start, tmp_path: Path):
     assert [row["step"] for row in rows(folder)] == [2, 4]
 
 
+@pytest.mark.slow
 def test_other_options_in_the_folder_of_a_run(start: Start):
     list(start(options(2)))
     for other in (
@@ -212,6 +216,7 @@ def test_a_schedule_without_a_layer_is_not_filled_up_from_the_default(start: Sta
         list(start(options(2, unfreeze={**Schedule(steps=2).unfreeze, "conv5": 0.5})))
 
 
+@pytest.mark.slow
 def test_losses_leave_the_device_once_per_row_of_the_log(start: Start, monkeypatch: pytest.MonkeyPatch):
     read, reads = torch.Tensor.__float__, []
     monkeypatch.setattr(torch.Tensor, "__float__", lambda tensor: reads.append(tensor) or read(tensor))
@@ -219,6 +224,7 @@ def test_losses_leave_the_device_once_per_row_of_the_log(start: Start, monkeypat
     assert len(reads) == len(row.keys() - {"step", "lr", "pairs_per_s", "validation"})
 
 
+@pytest.mark.slow
 def test_how_a_run_is_carried_out_may_change(start: Start):
     next(start(options(4), save_every=2))
     (row,) = start(options(4), save_every=3, validate_every=7, cache_gb=0.1, validation_pairs=4)
@@ -231,6 +237,7 @@ def test_another_network_in_the_folder_of_a_run(start: Start):
         list(start(options(2), model=network(7)))
 
 
+@pytest.mark.slow
 def test_a_damaged_state_is_named(start: Start, tmp_path: Path):
     list(start(options(2)))
     state = tmp_path / "run" / "state.pt"
@@ -272,6 +279,7 @@ def changed(before: dict[str, Tensor], after: dict[str, Tensor]) -> set[str]:
     }
 
 
+@pytest.mark.slow
 def test_frozen_layers_stay_and_freed_ones_learn(start: Start, tmp_path: Path):
     before = {name: value.clone() for name, value in network().state_dict().items()}
     schedule = {"conv5": 0.0, "conv4": 0.5, "conv2": 1.0}
@@ -300,6 +308,7 @@ def test_without_a_mean_the_last_weights_are_saved(start: Start, tmp_path: Path)
     assert all(torch.equal(value, saved[name]) for name, value in model.state_dict().items())
 
 
+@pytest.mark.slow
 def test_with_a_mean_the_mean_is_saved_and_the_last_weights_go_on(start: Start, tmp_path: Path):
     model = network()
     list(start(options(3, ema=0.9), model=model))
@@ -337,6 +346,7 @@ def test_no_usable_box(tmp_path: Path):
         list(train(network(), [], [], tmp_path / "run", options(1), RUN))
 
 
+@pytest.mark.slow
 def test_a_batch_of_negative_pairs_alone_is_no_trouble(scenes: list[Sequence], start: Start, tmp_path: Path):
     list(start(options(3, pairs=PairOptions(search_size=191, negatives=1.0))))
     assert all(torch.isfinite(value.float()).all() for value in weights(tmp_path / "run").values())
@@ -350,6 +360,7 @@ def test_the_loss_is_that_of_the_batch(scenes: list[Sequence]):
     assert parts["total"].item() == pytest.approx((parts["cls"] + parts["centerness"]).item())
 
 
+@pytest.mark.slow
 def test_low_layers_stand_still_between_their_steps(start: Start, tmp_path: Path):
     chosen = dataclasses.replace(options(3, ema=0.0), schedule=dataclasses.replace(options(3).schedule, low_every=2))
     list(start(chosen))
@@ -362,6 +373,7 @@ def test_low_layers_stand_still_between_their_steps(start: Start, tmp_path: Path
     assert all(torch.equal(value, ends[2][name]) for name, value in weights(tmp_path / "run").items())
 
 
+@pytest.mark.slow
 def test_a_run_ends_when_its_time_is_over_and_can_be_continued(start: Start, tmp_path: Path):
     (row,) = start(options(4), max_time=1e-9)
     assert row["step"] == 1
@@ -372,6 +384,7 @@ def test_a_run_ends_when_its_time_is_over_and_can_be_continued(start: Start, tmp
     assert all(torch.equal(value, second[name]) for name, value in first.items())
 
 
+@pytest.mark.slow
 def test_a_run_goes_on_from_weights_and_step_alone(start: Start, tmp_path: Path):
     """The pairs and the rate are those of the step; only what the optimizer remembers is new."""
     chosen = options(6, optimizer="sgd", ema=0.0)
@@ -384,6 +397,7 @@ def test_a_run_goes_on_from_weights_and_step_alone(start: Start, tmp_path: Path)
     assert 0 < apart < 0.05
 
 
+@pytest.mark.slow
 def test_frames_of_videos_are_kept_in_the_runs_folder(scenes: list[Sequence], tmp_path: Path):
     path = tmp_path / "clip.mp4"
     writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"mp4v"), 25, (200, 160))

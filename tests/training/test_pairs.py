@@ -150,6 +150,7 @@ def test_the_target_really_lies_inside_the_corners(scenes: list[Sequence]):
         assert rows.min() == pytest.approx(y0, abs=slack) and rows.max() == pytest.approx(y1, abs=slack)
 
 
+@pytest.mark.slow
 def test_augmented_targets_lie_about_the_corners(scenes: list[Sequence]):
     """Under rotation, mirroring, blur and colour, the middle of what is saturated stays the middle of the corners."""
     sampler = PairSampler(scenes, dataclasses.replace(PLAIN, augmentation=1.0), cache_bytes=CACHE)
@@ -238,6 +239,7 @@ def test_distractors_stand_beside_the_target_and_leave_it_alone(draw):
     assert 5 < shown < 35, "not in every crop: some would cover the target, or be the target itself"
 
 
+@pytest.mark.slow
 def test_some_targets_turn_far_and_none_without_augmentation(draw):
     """Of a bar four times as long as wide, the box of a turned one is wider."""
     clip = draw(*([((260.0, 220.0, 30.0, 120.0), colour(0))] for _ in range(2)), size=(600, 600))
@@ -272,6 +274,7 @@ def test_negative_pairs_never_show_the_target(scenes: list[Sequence]):
         assert sum(others) == 1, "it shows another target"
 
 
+@pytest.mark.slow
 def test_a_negative_pair_may_look_at_a_neighbour_in_the_photograph(draw):
     left, right = ((20.0, 60.0, 30.0, 30.0), colour(0)), ((130.0, 60.0, 30.0, 30.0), colour(4))
     photo = draw([left, right])
@@ -314,6 +317,7 @@ def test_sources_may_share_a_picture(draw):
 # ---- what is drawn
 
 
+@pytest.mark.slow
 def test_large_sources_count_by_the_square_root(tmp_path: Path):
     box = (8.0, 8.0, 16.0, 16.0)
 

@@ -188,6 +188,7 @@ def test_pairs_without_trust_count_for_nothing():
     assert none.item() == 0
 
 
+@pytest.mark.slow
 def test_training_with_stored_maps(scenes: list[Sequence], tmp_path: Path):
     pairs = PairOptions(search_size=191, negatives=0.0, augmentation=0.0)
     store(tmp_path / "maps" / "a.safetensors", blob, PairSampler(scenes, pairs, 0), range(16))

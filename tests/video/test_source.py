@@ -333,6 +333,7 @@ def test_a_fast_reader_waits_and_gets_each_frame_once(monkeypatch: pytest.Monkey
     assert seen == list(range(12))
 
 
+@pytest.mark.slow
 def test_a_stream_that_comes_back_goes_on(monkeypatch: pytest.MonkeyPatch) -> None:
     # four frames and their end, an opening without a frame, ten frames: then it waits
     device = plug(monkeypatch, FakeDevice([script(0, 4), None, [], script(50, 60)], turns=5 + 1 + 10))
@@ -366,6 +367,7 @@ def test_a_file_behind_an_address_is_paced_by_its_rate(monkeypatch: pytest.Monke
     assert waits == pytest.approx([k / 20 for k in range(1, 8)])
 
 
+@pytest.mark.slow
 def test_a_stream_that_stays_away_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
     device = plug(monkeypatch, FakeDevice([script(0, 4)]))
     message = r"stream rtsp://host/a stopped after 4 frames and did not come back within 0\.6 s: "
@@ -431,6 +433,7 @@ def served(handler: type[http.server.BaseHTTPRequestHandler]) -> Iterator[str]:
             thread.join()
 
 
+@pytest.mark.slow
 def test_an_mjpeg_stream_is_read_and_brought_back() -> None:
     jpeg = cv2.imencode(".jpg", grey(120))[1].tobytes()
 
@@ -460,6 +463,7 @@ def test_an_mjpeg_stream_is_read_and_brought_back() -> None:
     assert "is back" in events[1]
 
 
+@pytest.mark.slow
 def test_a_file_behind_an_address_plays_once(tmp_path: Path) -> None:
     data = write_video(tmp_path / "a.mkv", 20).read_bytes()
 
@@ -527,6 +531,7 @@ def port() -> int:
         return int(found.getsockname()[1])
 
 
+@pytest.mark.slow
 def test_packets_of_a_drone_are_followed_live(port: int) -> None:
     address = f"udp://127.0.0.1:{port}"
     with sent(address, "mpegts"), open_source(address, timeout_s=TIMEOUT_S) as source:
@@ -536,6 +541,7 @@ def test_packets_of_a_drone_are_followed_live(port: int) -> None:
     assert all(95 < frame.mean() < 205 for frame in frames)
 
 
+@pytest.mark.slow
 def test_a_session_description_opens_its_ports(port: int, tmp_path: Path) -> None:
     path = tmp_path / "drone.sdp"
     path.write_text(SESSION.format(port=port))

@@ -124,6 +124,7 @@ def test_a_stream_that_is_cut_off_says_so(tmp_path: Path) -> None:
         list(source)
 
 
+@pytest.mark.slow
 def test_without_pyav_a_cover_is_no_video_without_a_word(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "cover.mp4"
     with av.open(str(path), "w") as out:
@@ -137,6 +138,7 @@ def test_without_pyav_a_cover_is_no_video_without_a_word(tmp_path: Path, monkeyp
         list(source)
 
 
+@pytest.mark.slow
 def test_an_image_that_stands_still_beside_its_sound_is_not_the_end(tmp_path: Path) -> None:
     path = tmp_path / "pause.mp4"
     with av.open(str(path), "w") as out:

@@ -53,6 +53,7 @@ def test_an_unknown_name_is_answered_with_known_ones(shelf: Path, name: str, mes
         zoo.weights_path(name)
 
 
+@pytest.mark.slow
 def test_every_shipped_model_loads_is_small_and_has_a_card() -> None:
     for name in zoo.names():
         path = zoo.weights_path(name)

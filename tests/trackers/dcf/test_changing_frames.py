@@ -38,6 +38,7 @@ CHANGES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", FILTERS)
 def test_a_frame_of_another_kind_in_between_gives_finite_boxes(name):
     for what, change in CHANGES.items():

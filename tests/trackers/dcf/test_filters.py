@@ -127,6 +127,7 @@ ODD = {
 }
 
 
+@pytest.mark.slow
 def test_odd_targets_and_frames_give_finite_boxes(name):
     for what, (size, box) in ODD.items():
         frame = texture(*size, 3)

@@ -245,6 +245,7 @@ def test_what_was_taken_up_elsewhere_gives_way_to_a_better_find_at_the_expected_
     assert [centre_error(t.box, START) < 1.5 for t in tracks[4:]] == [changed] * 6
 
 
+@pytest.mark.slow
 def test_no_frame_costs_more_than_two_looks(blob_engine: Any, blob_frame: Draw) -> None:
     tracker = begun(blob_frame)
 
@@ -260,6 +261,7 @@ def test_no_frame_costs_more_than_two_looks(blob_engine: Any, blob_frame: Draw) 
     assert looks((230, 170, 40, 30)) == 1
 
 
+@pytest.mark.slow
 def test_a_find_must_be_like_later_looks_of_the_target_too(blob_engine: Any, blob_frame: Draw) -> None:
     search = blob_engine.search
 
@@ -281,6 +283,7 @@ def test_a_find_must_be_like_later_looks_of_the_target_too(blob_engine: Any, blo
     assert centre_error(boxes[-1], (270, 200, 40, 30)) < 1
 
 
+@pytest.mark.slow
 def test_a_video_that_stands_still_proves_nothing(blob_engine: Any, blob_frame: Draw) -> None:
     tracker = begun(blob_frame)
     for _ in range(LOST_AFTER):
@@ -289,6 +292,7 @@ def test_a_video_that_stands_still_proves_nothing(blob_engine: Any, blob_frame: 
     assert {tracker.update(frame).state for _ in range(200)} == {"lost"}
 
 
+@pytest.mark.slow
 def test_a_lost_target_is_not_looked_for_outside_the_frame(blob_engine: Any, blob_frame: Draw) -> None:
     tracker = begun(blob_frame, (0, 0, 40, 30))
     for _ in range(100):

@@ -200,6 +200,7 @@ def test_a_fault_of_the_worker_is_one_line_that_names_it(opened: Open, mode: str
     assert tracker.init(FRAME, BOX).box == BOX
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mode", ["hangs", "hangs-deaf", "endless-lines"])
 def test_a_worker_that_hangs_is_ended_after_the_time_out(opened: Open, mode: str) -> None:
     tracker = opened(mode)
@@ -214,6 +215,7 @@ def test_a_worker_that_hangs_is_ended_after_the_time_out(opened: Open, mode: str
     assert eventually(lambda: not any(mode in line for line in descendants()))
 
 
+@pytest.mark.slow
 def test_a_worker_that_does_not_read_cannot_block_us(opened: Open) -> None:
     tracker = opened("deaf", frame_seconds=0.5)
     large = np.zeros((720, 1280, 3), np.uint8)
@@ -293,6 +295,7 @@ def test_name_and_identity_do_not_know_the_folder(tmp_path: Path) -> None:
     assert first.name == "tracker"
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
 def test_a_tracker_that_nobody_closed_ends_its_worker() -> None:
     tracker = open_trax(command("good", "4", "memory;forgotten;"))
@@ -303,6 +306,7 @@ def test_a_tracker_that_nobody_closed_ends_its_worker() -> None:
     assert eventually(lambda: not any("forgotten" in line for line in descendants()))
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
 @pytest.mark.parametrize("mode", ["forks", "forks-and-goes-on"])
 def test_nothing_that_a_worker_forked_outlives_it(opened: Open, mode: str) -> None:
@@ -320,6 +324,7 @@ def test_nothing_that_a_worker_forked_outlives_it(opened: Open, mode: str) -> No
     assert eventually(lambda: not any(mode in line for line in descendants()))
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
 @pytest.mark.parametrize("mode", ["hangs-deaf", "forks-and-goes-on"])
 def test_nothing_outlives_us_when_we_are_killed(tmp_path: Path, mode: str) -> None:

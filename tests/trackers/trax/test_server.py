@@ -171,6 +171,7 @@ def test_a_fault_of_the_tracker_ends_the_conversation_with_its_reason(frame_file
     assert replies(sink)[-1].properties["trax.reason"] == "box 1,2,3,4 lies outside the frame"
 
 
+@pytest.mark.slow
 def test_our_client_and_our_server_agree_to_the_last_digit() -> None:
     tracker = open_trax(shlex.join([sys.executable, "-c", PIXEL_SERVER]))
     frame = np.full((60, 80, 3), 7, np.uint8)
@@ -185,6 +186,7 @@ def test_our_client_and_our_server_agree_to_the_last_digit() -> None:
         tracker.close()
 
 
+@pytest.mark.slow
 def test_speaks_over_the_port_that_the_client_names() -> None:
     with socket.create_server(("127.0.0.1", 0)) as listener:
         port = str(listener.getsockname()[1])
@@ -204,6 +206,7 @@ def test_speaks_over_the_port_that_the_client_names() -> None:
             server.kill()
 
 
+@pytest.mark.slow
 def test_urls_are_fetched(frame_files: list[Path]) -> None:
     from http.server import BaseHTTPRequestHandler, HTTPServer
 
