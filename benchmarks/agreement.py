@@ -45,15 +45,17 @@ def main(
     """
     if len(models) < 2:
         raise UserError(f"{len(models)} models given: two or more, to compare, are expected")
-    spec = open_engine(models[0], threads=threads).spec
-    engines = [open_engine(model, threads=threads, search_size=spec.search_size) for model in models]
+    first = open_engine(models[0], threads=threads)
+    spec = first.spec
+    others = [open_engine(model, threads=threads, search_size=spec.search_size) for model in models[1:]]
+    engines = [first, *others]
     crops = sample(DataChoice(data, held_out_every).held_out, spec, pairs)
     procedure: Procedure = opened(spec.arch.procedure)
     window = procedure.window(spec.arch.score_size(spec.search_size, spec.template_size))
     # Pair by pair, so that the models are timed in turn.
     rows = [[_found(engine, procedure, window, pair) for engine in engines] for pair in crops]
-    (expected, own), *others = (tuple(zip(*column, strict=True)) for column in zip(*rows, strict=True))
-    for model, (found, times) in zip(models[1:], others, strict=True):
+    (expected, own), *compared = (tuple(zip(*column, strict=True)) for column in zip(*rows, strict=True))
+    for model, (found, times) in zip(models[1:], compared, strict=True):
         same = np.mean([a.cell == b.cell for a, b in zip(expected, found, strict=True)])
         each, share = overlap(_boxes(expected), _boxes(found)), np.median(np.divide(times, own))
         print(f"{model}: same cell {same:.3f}, overlap {each.mean():.3f}, least {each.min():.3f}, time {share:.2f}")

@@ -49,8 +49,10 @@ def main(
         states: follow with states, as by default elsewhere; without it, by the plain procedure.
         threads: threads of the tracker.
     """
-    if min(strides) < 1:
-        raise UserError(f"stride {min(strides)} is none: give 1 or more")
+    if not sizes:
+        raise UserError("no side is given: give --sizes, as 256 224")
+    if min(strides, default=0) < 1:
+        raise UserError(f"stride {min(strides, default=0)} is none: give 1 or more")
     clips = datasets.read("folder", root)
     trackers = [
         open_tracker(model, TrackerOptions(threads=threads, plain=not states, search_size=size)) for size in sizes

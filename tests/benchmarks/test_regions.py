@@ -44,7 +44,14 @@ def test_each_side_is_compared_with_the_first_at_each_stride(
     assert change == pytest.approx(means[1] - means[0], abs=1.1e-3)
 
 
-@pytest.mark.parametrize(("strides", "reason"), [((1, 0), "stride 0 is none"), ((4,), "no clip .* at stride 4")])
+@pytest.mark.parametrize(
+    ("strides", "reason"), [((1, 0), "stride 0 is none"), ((), "stride 0 is none"), ((4,), "no clip .* at stride 4")]
+)
 def test_strides_that_leave_nothing(script: ModuleType, root: Path, tiny_model: Path, strides, reason: str):
     with pytest.raises(UserError, match=reason):
         script.main(str(tiny_model), root, (191,), strides)
+
+
+def test_no_side(script: ModuleType, root: Path, tiny_model: Path):
+    with pytest.raises(UserError, match="no side is given"):
+        script.main(str(tiny_model), root, ())
