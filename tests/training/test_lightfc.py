@@ -45,7 +45,8 @@ def narrow(seed: int, width: int = 4) -> LightFC:
 
 def batch(*corners: tuple[float, float, float, float], present: bool = True) -> Batch:
     images = (torch.zeros(len(corners), side, side, 3, dtype=torch.uint8) for side in (128, 256))
-    return Batch(*images, torch.tensor(corners), torch.full((len(corners),), present))
+    count = (len(corners),)
+    return Batch(*images, torch.tensor(corners), torch.full(count, present), torch.full(count, 40.0))
 
 
 def maps(

@@ -49,6 +49,7 @@ def batch(corners: list[tuple[float, ...]], present: list[bool] | None = None) -
         torch.zeros(n, 239, 239, 3, dtype=torch.uint8),
         torch.tensor(corners),
         torch.tensor(present or [True] * n),
+        torch.full((n,), 40.0),
     )
 
 

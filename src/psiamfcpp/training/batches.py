@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
+import pickle
+import tempfile
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from pathlib import Path
 from typing import cast
 
 import numpy as np
@@ -29,6 +32,8 @@ class Batch:
     """``(B, 4)`` float: x0, y0, x1, y1 in the search crop"""
     present: Tensor
     """``(B,)`` bool"""
+    side: Tensor
+    """``(B,)`` float: root of the target's area in the template's frame, pixels"""
     said: tuple[Tensor, Tensor, Tensor, Tensor] | None = None
     """what a stored teacher says, see `Said`: scores, sides, corners, trust; None without one"""
 
@@ -50,7 +55,7 @@ class Batch:
 
     def _each(self, change: Callable[[Tensor], Tensor]) -> Batch:
         said = None if self.said is None else tuple(change(tensor) for tensor in self.said)
-        own = change(self.template), change(self.search), change(self.corners), change(self.present)
+        own = change(self.template), change(self.search), change(self.corners), change(self.present), change(self.side)
         return Batch(*own, cast("tuple[Tensor, Tensor, Tensor, Tensor] | None", said))
 
 
@@ -61,6 +66,7 @@ def collate(pairs: list[Pair], said: list[Said] | None = None) -> Batch:
         torch.from_numpy(np.stack([p.search for p in pairs])),
         torch.tensor([p.corners for p in pairs], dtype=torch.float32),
         torch.tensor([p.present for p in pairs]),
+        torch.tensor([p.side for p in pairs], dtype=torch.float32),
         None if said is None else _stacked(said),
     )
 
@@ -76,17 +82,31 @@ class _Numbered(Dataset["tuple[Pair, Said | None] | UserError"]):
     """Pairs by number, for the loader's processes.
 
     A `UserError` is handed over: raised in another process, it would arrive with that process's traceback in its text.
+
+    Processes read the sampler from a file. Through the pipe to a new process, which holds 64 KiB, the next process
+    would start only when that one has started and has read all: three seconds for each with large data.
     """
 
-    def __init__(self, sampler: PairSampler, stored: StoredMaps | None):
+    def __init__(self, sampler: PairSampler, stored: StoredMaps | None, file: Path | None = None):
         self._sampler = sampler
         self._stored = stored
+        self._file = file
+        if file:
+            file.write_bytes(pickle.dumps((sampler, stored)))
+
+    def __reduce__(self) -> tuple[Callable[[Path], _Numbered], tuple[Path]]:
+        assert self._file, "only a loader without processes has no file"
+        return _read_numbered, (self._file,)
 
     def __getitem__(self, index: int) -> tuple[Pair, Said | None] | UserError:
         try:
             return self._sampler.pair(index), None if self._stored is None else self._stored.get(index)
         except UserError as error:
             return error
+
+
+def _read_numbered(file: Path) -> _Numbered:
+    return _Numbered(*pickle.loads(file.read_bytes()))
 
 
 def _collated(samples: list[tuple[Pair, Said | None] | UserError]) -> Batch | UserError:
@@ -125,21 +145,22 @@ def numbered_batches(
         UserError: an image cannot be read.
     """
     order = [[(step * ranks + rank) * batch + i for i in range(batch)] for step in range(start, end)]
-    loader = DataLoader(
-        _Numbered(sampler, stored),
-        batch_sampler=order,
-        collate_fn=_collated,
-        num_workers=workers,
-        prefetch_factor=4 if workers else None,
-        pin_memory=torch.cuda.is_available(),
-        worker_init_fn=_one_thread if workers else None,
-        # A forked child can wait for ever on a lock of OpenCV's thread pool.
-        multiprocessing_context="spawn" if workers else None,
-    )
-    for found in loader:
-        if isinstance(found, UserError):
-            raise found
-        yield found
+    with tempfile.TemporaryDirectory(prefix="psiamfcpp-pairs-") as folder:
+        loader = DataLoader(
+            _Numbered(sampler, stored, Path(folder, "sampler") if workers else None),
+            batch_sampler=order,
+            collate_fn=_collated,
+            num_workers=workers,
+            prefetch_factor=4 if workers else None,
+            pin_memory=torch.cuda.is_available(),
+            worker_init_fn=_one_thread if workers else None,
+            # A forked child can wait for ever on a lock of OpenCV's thread pool.
+            multiprocessing_context="spawn" if workers else None,
+        )
+        for found in loader:
+            if isinstance(found, UserError):
+                raise found
+            yield found
 
 
 def _one_thread(_worker: int) -> None:

@@ -28,6 +28,7 @@ from psiamfcpp.machine import has_bf16
 from psiamfcpp.models.arch import opened
 from psiamfcpp.models.checkpoint import save
 from psiamfcpp.models.network import Network
+from psiamfcpp.training.asked import Ask, open_asked
 from psiamfcpp.training.batches import Batch, numbered_batches
 from psiamfcpp.training.objective import Objective
 from psiamfcpp.training.options import LossWeights, RunOptions, TeacherOptions, TrainOptions
@@ -128,7 +129,7 @@ def train(
         # The parts and not the losses, which are made anew whenever another set of layers is free.
         for part in model.children():
             part.compile()
-    stored = StoredMaps(Path(options.teacher.stored), options.pairs, options.seed) if options.teacher.stored else None
+    stored, ask = _stored(options, device)
     if ranks > 1 and options.schedule.low_every > 1:
         raise UserError("low-every needs one process: under torchrun, leave it at 1")
     if rank == 0:
@@ -156,7 +157,8 @@ def train(
         for group in optimizer.param_groups:
             group["lr"] = options.schedule.rate(step) * group["factor"]
         with torch.autocast(device.type, torch.bfloat16, enabled=bf16):
-            parts = module(batch.to(device))
+            moved = batch.to(device)
+            parts = module(ask(moved) if ask else moved)
         parts["total"].backward()
         torch.nn.utils.clip_grad_norm_(model.parameters(), options.clip)
         optimizer.step()
@@ -189,6 +191,16 @@ def train(
     if ranks > 1:
         dist.barrier()
         dist.destroy_process_group()
+
+
+def _stored(options: TrainOptions, device: torch.device) -> tuple[StoredMaps | None, Ask | None]:
+    """What a folder of stored maps or a LightFC says of pairs, whichever the options name."""
+    where = options.teacher.stored
+    if not where:
+        return None, None
+    if Path(where).is_dir():
+        return StoredMaps(Path(where), options.pairs, options.seed), None
+    return None, open_asked(where, device)
 
 
 def _over(began: float, minutes: float, device: torch.device, ranks: int) -> bool:

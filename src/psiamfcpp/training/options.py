@@ -118,7 +118,8 @@ class TeacherOptions:
     teacher_features: float = 0.0
     """weight of the teacher's backbone features, likewise; the network's must be as many"""
     stored: str = ""
-    """folder of what another teacher said of this run's pairs, stored beforehand (see docs/training.md)"""
+    """folder of what LightFC said of this run's pairs, stored beforehand; or a LightFC to ask in every step, for a GPU
+    (see docs/training.md)"""
     stored_weight: float = 1.0
     """weight of the stored places and boxes against the labels' losses"""
 

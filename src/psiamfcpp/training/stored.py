@@ -35,12 +35,12 @@ Look = Callable[[Image, Image], tuple[Array, Array, Array]]
 size ``(2, 16, 16)`` as shares of the region and offset ``(2, 16, 16)`` in cells"""
 
 CELLS = 16
-_TEMPLATE, _REGION = 128, 256
+TEMPLATE, REGION = 128, 256
 # ImageNet's, for RGB in 0..255.
 _MEAN = np.array([0.485, 0.456, 0.406], np.float32) * 255
 _STD = np.array([0.229, 0.224, 0.225], np.float32) * 255
-_LEAST_OVERLAP = 0.5
-_SMALLEST_SIDE = 10.0
+LEAST_OVERLAP = 0.5
+SMALLEST_SIDE = 10.0
 
 
 @dataclass(frozen=True)
@@ -97,14 +97,14 @@ def say(look: Look, pair: Pair) -> Said:
     width, height = x1 - x0 + 1, y1 - y0 + 1
     # Side of the target in a crop of ours without jitter, by the shape that it has in the search crop.
     side = pair.template.shape[0] * math.sqrt(width * height) / context_side(width, height)
-    score, shape, offset = look(_middle(pair.template, 2 * side, _TEMPLATE), _middle(pair.search, 4 * side, _REGION))
-    row, column = np.unravel_index(int((score * _window()).argmax()), score.shape)
+    score, shape, offset = look(_middle(pair.template, 2 * side, TEMPLATE), _middle(pair.search, 4 * side, REGION))
+    row, column = np.unravel_index(int((score * window()).argmax()), score.shape)
     origin = (size - 1) / 2 - 2 * side
     place = (np.array([column, row]) + offset[:, row, column]) / CELLS * 4 * side + origin
     half = shape[:, row, column] * 4 * side / 2
     corners = np.concatenate([place - half, place + half]).astype(np.float32)
     shared = float(overlap(from_corners(corners), from_corners(pair.corners)))
-    agrees = pair.present and pair.side >= _SMALLEST_SIDE and shared >= _LEAST_OVERLAP
+    agrees = pair.present and pair.side >= SMALLEST_SIDE and shared >= LEAST_OVERLAP
     trust = score[row, column] if agrees else 0.0
     return Said(score.astype(np.float16), np.array(4 * side, np.float32), corners, np.array(trust, np.float32))
 
@@ -234,7 +234,8 @@ def _signature(options: PairOptions, seed: int) -> str:
     return json.dumps({**dataclasses.asdict(options), "seed": seed}, sort_keys=True)
 
 
-def _window() -> NDArray[np.float64]:
+def window() -> NDArray[np.float64]:
+    """The Hann window ``(16, 16)`` under which LightFC chooses its cell."""
     line = 0.5 * (1 - np.cos(2 * np.pi / (CELLS + 1) * np.arange(1, CELLS + 1)))
     return np.outer(line, line)
 
