@@ -7,9 +7,13 @@ import dataclasses
 import functools
 import os
 import re
+import sys
 
 # Before torch is imported: the networks here are so small that threads cost more than they give.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+# Without bytecode, which some environments forbid, each process that a test starts compiles the package anew.
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 
 # Workers side by side keep to a core each: engines that take all cores would spend their time waiting for each other.
 if worker := os.environ.get("PYTEST_XDIST_WORKER"):
@@ -32,6 +36,9 @@ from numpy.typing import NDArray
 from psiamfcpp.demo.clip import DemoFrame, render
 from psiamfcpp.models.siamfcpp_alexnet import ARCHITECTURE
 from psiamfcpp.spec import ModelSpec
+
+# Likewise each worker would rewrite the assertions of all tests, which takes half of the time before the first one.
+sys.dont_write_bytecode = False
 
 Image = NDArray[np.uint8]
 BACKGROUND = 40
