@@ -44,12 +44,13 @@ SETS = {
     ),
     "update": (
         "Time of an update",
-        "Milliseconds, the median; two threads on an AMD EPYC with VNNI ([speed](speed.md)).",
+        "Milliseconds, the median; two threads on an AMD EPYC with VNNI ([speed](speed.md)). Weights do not matter:\n"
+        "`psiamfcpp-alexnet-s` has the widths and the search crop that it had when this was measured.",
     ),
     "avx2": (
         "Time of an update without VNNI",
         "Milliseconds, the median, on an AMD EPYC with AVX2 but no VNNI, where products of 8 bits take more\n"
-        "instructions. Other programs shared the machine: a fixed piece of work took up to 1.7 times its least time.\n"
+        "instructions. Other programs shared the machine: a fixed piece of work took up to 1.8 times its least time.\n"
         "Compare rows of one command, not with the table above. KCF and CSRT were timed in a run of their own.",
     ),
 }
