@@ -91,6 +91,7 @@ def test_only_a_lightfc_is_asked(tmp_path: Path):
         open_asked(tmp_path / "ours.safetensors", torch.device("cpu"))
 
 
+@pytest.mark.slow
 def test_a_run_learns_from_the_model_that_it_names(scenes: list[Sequence], tmp_path: Path):
     save(tmp_path / "lightfc.safetensors", narrow(0))
     chosen = dataclasses.replace(options(2), teacher=TeacherOptions(stored=str(tmp_path / "lightfc.safetensors")))
