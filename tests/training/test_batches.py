@@ -1,5 +1,8 @@
 from __future__ import annotations
 
+import errno
+from pathlib import Path
+
 import numpy as np
 import pytest
 import torch
@@ -65,6 +68,15 @@ def test_an_image_that_cannot_be_read_is_said_as_it_is(workers: int):
     with pytest.raises(UserError) as caught:
         next(found)
     assert str(caught.value) == "image gone.jpg does not exist"
+
+
+def test_no_room_for_what_loader_processes_read_is_one_line(monkeypatch: pytest.MonkeyPatch):
+    def full(_path: Path, _content: bytes) -> int:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(Path, "write_bytes", full)
+    with pytest.raises(UserError, match=r"sampler cannot be written \(No space left on device\): free disk space"):
+        next(numbered_batches(Counting(), 3, 0, 4, workers=1))
 
 
 def equal(a: Batch, b: Batch) -> bool:

@@ -16,6 +16,7 @@ from torch import Tensor
 from torch.utils.data import DataLoader, Dataset
 
 from psiamfcpp.errors import UserError
+from psiamfcpp.files import writing
 from psiamfcpp.training.pairs import Pair, PairSampler
 from psiamfcpp.training.stored import Said, StoredMaps
 
@@ -92,7 +93,8 @@ class _Numbered(Dataset["tuple[Pair, Said | None] | UserError"]):
         self._stored = stored
         self._file = file
         if file:
-            file.write_bytes(pickle.dumps((sampler, stored)))
+            with writing(file):
+                file.write_bytes(pickle.dumps((sampler, stored)))
 
     def __reduce__(self) -> tuple[Callable[[Path], _Numbered], tuple[Path]]:
         assert self._file, "only a loader without processes has no file"
