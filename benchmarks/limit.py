@@ -20,7 +20,7 @@ from onnx import TensorProto, helper, numpy_helper
 
 from psiamfcpp.runtime import usable_cores
 from psiamfcpp.runtime.graph_file import precision
-from psiamfcpp.runtime.onnx_engine import open_session
+from psiamfcpp.runtime.onnx_engine import open_session, session_options
 from psiamfcpp.zoo import DEFAULT_MODEL, graph_folder
 
 SIDE = 512
@@ -65,7 +65,10 @@ def layer_macs(model: onnx.ModelProto, size: int) -> dict[str, int]:
     wanted = [name for node in convolutions for name in (node.output[0], node.input[1])]
     looked_into = onnx.ModelProto.FromString(model.SerializeToString())
     looked_into.graph.output.extend(helper.make_tensor_value_info(name, TensorProto.FLOAT, None) for name in wanted)
-    session = open_session(looked_into.SerializeToString(), 1, size)
+    # What is fused has no output of its own, so nothing is.
+    options = session_options(1, size)
+    options.graph_optimization_level = onnxruntime.GraphOptimizationLevel.ORT_DISABLE_ALL
+    session = onnxruntime.InferenceSession(looked_into.SerializeToString(), options, providers=["CPUExecutionProvider"])
     shapes = [array.shape for array in session.run(wanted, example(session, size))]
     return {
         node.name: int(np.prod(out) * np.prod(weight[1:]))
@@ -75,10 +78,7 @@ def layer_macs(model: onnx.ModelProto, size: int) -> dict[str, int]:
 
 def layer_times(path: Path, size: int, threads: int, rounds: int) -> dict[str, float]:
     """Return seconds of each node, the best of the rounds."""
-    options = onnxruntime.SessionOptions()
-    options.intra_op_num_threads = threads
-    options.log_severity_level = 3
-    options.add_free_dimension_override_by_name("size", size)
+    options = session_options(threads, size)
     options.enable_profiling = True
     with tempfile.TemporaryDirectory() as folder:
         options.profile_file_prefix = f"{folder}/profile"

@@ -91,6 +91,7 @@ def sensitivity(
         done.append(result)
         done.sort(key=lambda r: order[r["row"], r["share"], r["criterion"], r["tuned"]])
         write_csv(done, output / "table.csv")
+    shutil.rmtree(output / "frames", ignore_errors=True)
     draw_sensitivity(done, output / "sensitivity.png")
     return done
 
@@ -183,7 +184,8 @@ def measure(setup: Setup, cell: Cell, folder: Path) -> dict[str, Any]:
     network = _make(setup, cell)
     if cell.tuned:
         sequences = DataChoice(setup.data).training
-        quiet = RunOptions(workers=0, cache_gb=1.0, save_every=100)
+        # frames of clips are decoded once for all cells
+        quiet = RunOptions(workers=0, cache_gb=1.0, save_every=100, frames=str(folder / "frames"))
         for _ in train(network, sequences, [], run, setup.options, quiet):
             pass
         network = load(run / MODEL_FILE)

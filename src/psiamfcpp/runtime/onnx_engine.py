@@ -9,6 +9,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import onnxruntime
 
 from psiamfcpp.errors import UserError
@@ -30,6 +31,13 @@ _PROVIDERS: dict[DeviceKind, tuple[str, ...]] = {
     "cuda": ("CUDAExecutionProvider", "CPUExecutionProvider"),
     "tensorrt": ("TensorrtExecutionProvider", "CUDAExecutionProvider", "CPUExecutionProvider"),
 }
+
+
+# The graph c = MatMulInteger(a, b) of uint8 and int8, here in bytes, since the package onnx is only needed to export.
+_PRODUCT = bytes.fromhex(
+    "08053a3e0a180a01610a0162120163220d4d61744d756c496e74656765721201705a090a016112040a0208025a090a016212040a0208036209"
+    "0a016312040a02080642040a00100a"
+)
 
 
 class OnnxEngine(GraphEngine):
@@ -59,6 +67,18 @@ def open_session(
         UserError: the installed onnxruntime cannot compute on the device.
     """
     providers = _providers(device)
+    # With its fallback, onnxruntime prints a failure of the GPU and computes on the processor instead.
+    session = onnxruntime.InferenceSession(
+        graph, session_options(threads, search_size), providers=providers, enable_fallback=0
+    )
+    if _PROVIDERS[device.kind][0] not in session.get_providers():
+        # A provider whose libraries are missing is left out without an error.
+        raise _cannot(f"start {_PROVIDERS[device.kind][0]}", device, _preloaded())
+    return session
+
+
+def session_options(threads: int | None, search_size: int | None = None) -> onnxruntime.SessionOptions:
+    """Return the options of a session with that many threads, made for search crops of that size in pixels."""
     options = onnxruntime.SessionOptions()
     options.log_severity_level = 3
     # By itself onnxruntime counts the machine's cores, not those that this process may use, and its threads would
@@ -68,17 +88,28 @@ def open_session(
     options.add_session_config_entry("session.force_spinning_stop", "1")
     # Threads take smaller and smaller blocks of a layer, so that none waits long for the last.
     options.add_session_config_entry("session.dynamic_block_base", "4")
-    # x86 without VNNI would add products of 8 bits in 16 bits, where they saturate: other boxes than everywhere else.
-    options.add_session_config_entry("session.x64quantprecision", "1")
+    if products_saturate():
+        # Products are then summed in 32 bits, for the same boxes as everywhere else.
+        options.add_session_config_entry("session.x64quantprecision", "1")
     if search_size is not None:
         # With its size known at load, onnxruntime lays out memory and folds the grid of cells once.
         options.add_free_dimension_override_by_name("size", search_size)
-    # With its fallback, onnxruntime prints a failure of the GPU and computes on the processor instead.
-    session = onnxruntime.InferenceSession(graph, options, providers=providers, enable_fallback=0)
-    if _PROVIDERS[device.kind][0] not in session.get_providers():
-        # A provider whose libraries are missing is left out without an error.
-        raise _cannot(f"start {_PROVIDERS[device.kind][0]}", device, _preloaded())
-    return session
+    return options
+
+
+@functools.cache
+def products_saturate() -> bool:
+    """Return whether onnxruntime adds products of 8 bits in 16 bits here, where they saturate: x86 without VNNI.
+
+    A product is computed to find out. The option that prevents it is set only then, since with VNNI it would cost half
+    of the speed and change nothing: onnxruntime does not tell these processors apart.
+    """
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = 1
+    session = onnxruntime.InferenceSession(_PRODUCT, options, providers=["CPUExecutionProvider"])
+    left, right = np.full((8, 8), 255, np.uint8), np.full((8, 8), 127, np.int8)
+    (sums,) = session.run(None, {"a": left, "b": right})
+    return bool((sums != 8 * 255 * 127).any())
 
 
 def _providers(device: Device) -> list[Any]:
