@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
-
 import numpy as np
 import pytest
 
@@ -39,28 +37,51 @@ def none(side: float) -> list[tuple[float, float]]:
     return []
 
 
-def test_the_place_what_moves_and_tiles_that_cover_the_frame_are_looked_at_in_turn() -> None:
+def distance(look: Target, x: float, y: float) -> float:
+    return float(np.hypot(look.cx - x, look.cy - y))
+
+
+def test_the_expected_place_is_looked_at_first_and_again_and_soon_everything() -> None:
     hunt = Hunt(PLACE, (0, 0))
-    sides = []
+    looks = []
+    for _ in range(400):
+        hunt.go_on(STILL)
+        looks.append(hunt.aim(40, SHAPE, none))
+    assert distance(looks[0], PLACE.cx, PLACE.cy) < 40
+    near = [distance(look, PLACE.cx, PLACE.cy) < 60 for look in looks]
+    assert all(any(near[i : i + 40]) for i in range(0, 400, 40))
+    x, y = np.meshgrid(np.arange(640), np.arange(360))
+    seen = [np.maximum(abs(x - t.cx), abs(y - t.cy)) <= 40 * t.w / PLACE.w for t in looks]
+    # all but single pixels at the rim
+    assert np.any(seen, axis=0).mean() > 0.999
+    assert {t.w for t in looks} == {40 * size for size in (1.0, 1.3, 1.7)}
+
+
+def test_what_moves_by_itself_is_looked_at_before_the_rest_of_the_frame() -> None:
+    hunt, sides = Hunt(PLACE, (0, 0)), []
 
     def movers(side: float) -> list[tuple[float, float]]:
         sides.append(side)
-        return [(50.0, 60.0), (500.0, 300.0)]
+        return [(500.0, 300.0)]
 
-    looks = [hunt.aim(40, SHAPE, movers) for _ in range(800)]
-    assert looks[::4] == [PLACE] * 200
-    assert looks[2::4] == [Target(50, 60, 40, 30), Target(500, 300, 40, 30)] * 100
-    assert sides == [pytest.approx(np.sqrt(40 * 30))] * 200
-    tiles = looks[1::2]
-    first = [t for t in tiles if t.w == tiles[0].w]
-    distances = [np.hypot(t.cx - PLACE.cx, t.cy - PLACE.cy) for t in first]
-    count = next(i for i, (a, b) in enumerate(pairwise(distances), 1) if b < a)
-    assert distances[:count] == sorted(distances[:count])
-    reach = 40 * first[0].w / PLACE.w
-    x, y = np.meshgrid(np.arange(640), np.arange(360))
-    near = [np.maximum(abs(x - t.cx), abs(y - t.cy)) <= reach for t in first[:count]]
-    assert np.any(near, axis=0).all()
-    assert len({t.w for t in tiles}) == 3
+    looks = []
+    for _ in range(12):
+        hunt.go_on(STILL)
+        looks.append(hunt.aim(40, SHAPE, movers))
+    assert any(distance(look, 500, 300) < 40 for look in looks)
+    assert sides == [pytest.approx(np.sqrt(40 * 30))] * 12
+
+
+def test_where_was_looked_moves_with_the_camera() -> None:
+    # One look on the expected place; then the camera jumps, so that the place is where nothing was looked at.
+    pan = np.array([[1.0, 0, 200], [0, 1, 100]])
+    hunt = Hunt(PLACE, (0, 0))
+    hunt.go_on(STILL)
+    first = hunt.aim(40, SHAPE, none)
+    hunt.go_on(pan)
+    second = hunt.aim(40, SHAPE, none)
+    assert distance(second, first.cx + 200, first.cy + 100) >= 20
+    assert distance(second, hunt.place.cx, hunt.place.cy) < 100
 
 
 def test_a_place_outside_the_frame_is_not_looked_at() -> None:
@@ -70,31 +91,33 @@ def test_a_place_outside_the_frame_is_not_looked_at() -> None:
 
 
 @pytest.mark.parametrize(
-    ("place", "values", "leads", "won"),
+    ("values", "followed", "won"),
     [
-        (FAR, [0.95] * 5, [0.1] * 5, 5),
-        (FAR, [0.95] * 4, [0.1] * 4, None),
-        (FAR, [0.95] * 9, [0.0] * 9, None),
-        (FAR, [0.85] * 9, [0.5] * 9, None),
-        # at the place more likely than not is enough to begin with
-        (PLACE, [0.6, 0.6] + [0.95] * 5, [0.5] * 7, 7),
+        ([0.95] * 5, [0.2] * 5, 5),
+        ([0.95] * 4, [0.2] * 4, None),
+        # what is followed is as good
+        ([0.95] * 9, [0.95] * 9, None),
+        # better than what is followed, and not enough to be the target
+        ([0.8] * 9, [0.1] * 9, None),
+        # more likely than not is enough to begin with
+        ([0.6, 0.6] + [0.95] * 5, [0.1] * 7, 6),
         # one look that speaks against it, and it has to begin anew
-        (FAR, [0.95] * 4 + [0.4] + [0.95] * 5, [0.5] * 10, 10),
-        (FAR, [0.95] * 12, [-0.1] * 6 + [0.1] * 6, 9),
+        ([0.95] * 4 + [0.4] + [0.95] * 5, [0.1] * 10, 10),
+        # what is followed was hardly visible and comes back
+        ([0.95] * 9, [0.1] * 4 + [0.8] * 5, None),
+        ([0.95] * 9, [0.1] * 4 + [0.7] * 5, 5),
     ],
 )
-def test_a_rival_is_proved_by_five_frames(
-    place: Target, values: list[float], leads: list[float], won: int | None
-) -> None:
+def test_a_rival_is_proved_by_five_frames(values: list[float], followed: list[float], won: int | None) -> None:
     hunt = Hunt(PLACE, (0, 0))
-    results = [hunt.judge(place, value, lead, LIMITS) for value, lead in zip(values, leads, strict=True)]
+    results = [hunt.judge(FAR, value, other, LIMITS) for value, other in zip(values, followed, strict=True)]
     assert (results.index(True) + 1 if True in results else None) == won
 
 
 def test_a_rival_is_followed_and_one_that_cannot_lead_given_up() -> None:
     hunt = Hunt(PLACE, (0, 0))
-    for number in range(25):
-        hunt.judge(FAR, 0.95, -0.1, LIMITS)
+    for number in range(12):
+        hunt.judge(FAR, 0.95, 0.96, LIMITS)
         assert hunt.rival and hunt.aim(40, SHAPE, none) == FAR, number
-    hunt.judge(FAR, 0.95, -0.1, LIMITS)
+    hunt.judge(FAR, 0.95, 0.96, LIMITS)
     assert hunt.rival is None

@@ -19,10 +19,15 @@ def confidence(peak: float, contrast: float, calibration: Calibration) -> float:
         contrast: what `procedure.contrast` gives.
         calibration: fitted weights.
     """
-    peak = min(max(peak, 1e-4), 1 - 1e-4)
-    logit = math.log(peak / (1 - peak))
+    logit = log_odds(min(max(peak, 1e-4), 1 - 1e-4))
     activation = calibration.bias + calibration.score_weight * logit + calibration.contrast_weight * contrast
     return 1 / (1 + math.exp(-min(max(activation, -50.0), 50.0)))
+
+
+def log_odds(probability: float) -> float:
+    """Return the logarithm of the odds for a probability, 0..1; those beyond 1e-6 and 1 - 1e-6 count as these."""
+    probability = min(max(probability, 1e-6), 1 - 1e-6)
+    return math.log(probability / (1 - probability))
 
 
 class StateMachine:

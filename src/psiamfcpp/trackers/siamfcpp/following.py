@@ -172,19 +172,18 @@ class Following:
                 self._hunt.go_on(STILL)
         # The same frame again proves nothing of a rival, but the target may be gone: a scene can be that still.
         if not frozen and (self._unseen_for >= SEARCH_AFTER or (self._watch and not self._unseen_for)):
-            value = self._look_elsewhere(frame, found.score, value, engine)
+            value = self._look_elsewhere(frame, value, engine)
         if not self._unseen_for and not self._watch:
             self._see()
             self._remember(frame, value, engine)
         return Track(self._box(), value, self._states.state)
 
-    def _look_elsewhere(self, frame: Image, score: float, value: float, engine: Engine) -> float:
+    def _look_elsewhere(self, frame: Image, value: float, engine: Engine) -> float:
         """Search one more place, and switch to what has proved to be the target there.
 
         Args:
             frame: the frame that is searched.
-            score: of what is followed.
-            value: the confidence in it.
+            value: the confidence in what is followed.
             engine: that the target started on.
 
         Returns:
@@ -205,7 +204,7 @@ class Following:
         found = self._procedure.estimate(scores, boxes, around, self._spec, window)
         rival = confidence(found.score, contrast(scores, boxes, found.cell), self._limits)
         target = self._moved(around, found, self._rate(found) if hunt.rival else 1.0, frame)
-        if not hunt.judge(target, rival, found.score - score, self._limits):
+        if not hunt.judge(target, rival, value, self._limits):
             return value
         self._target = target
         self._watch = 0 if watching or lies_in(target, hunt.place) else _WATCH
