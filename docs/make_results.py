@@ -36,7 +36,9 @@ SETS = {
     "fifteen": (
         "Fifteen sequences",
         "Fifteen sequences of UAV123@10fps, DTB70 and UAVDT, eight of them as H.264; one pass, `otb` convention, one\n"
-        "thread. SEVEN and EIGHT are their two folders, FIFTEEN is one of all. One lost target moves a mean by 0.07.",
+        "thread. SEVEN and EIGHT are their two folders, FIFTEEN is one of all. One lost target moves a mean by 0.07.\n"
+        "Our models were followed on an AMD EPYC with AVX-512, the others on one with AVX2. A processor that rounds\n"
+        "otherwise may keep or lose a target.",
     ),
     "seven": (
         "Seven sequences",
@@ -44,8 +46,8 @@ SETS = {
     ),
     "update": (
         "Time of an update",
-        "Milliseconds, the median; two threads on an AMD EPYC with VNNI ([speed](speed.md)). Weights do not matter:\n"
-        "`psiamfcpp-alexnet-s` has the widths and the search crop that it had when this was measured.",
+        "Milliseconds, the median, on two cores of an AMD EPYC (Zen 4) with AVX-512 VNNI ([speed](speed.md)), shared\n"
+        "with other machines: a fixed piece of work took up to 1.2 times its least time.",
     ),
     "avx2": (
         "Time of an update without VNNI",
@@ -93,7 +95,7 @@ def add(files: tyro.conf.Positional[tuple[Path, ...]], set: str, command: str, p
     Args:
         files: what `psiamfcpp evaluate --json` printed, whose means are over the sequences of all files, or what
             `psiamfcpp bench --json` printed.
-        set: name of the set: fifteen, seven, avx2.
+        set: name of the set: fifteen, seven, update, avx2.
         command: the command, with MODEL for the tracker.
         procedure: states or plain; empty for trackers of others. Of a bench it is known.
     """

@@ -63,7 +63,7 @@ def test_the_readme_shows_the_figures_of_the_table(figures: dict[tuple[str, ...]
         tracker = re.split(r"`|,| in OpenCV", name.removeprefix("`"))[0]
         states = "states" if ("fifteen", tracker, "states", "auc") in figures else ""
         assert [precision, auc] == [figures["fifteen", tracker, states, figure] for figure in ("precision", "auc")]
-        for shown, key in ((ms, ("update", "ms")), (slow_ms, ("avx2", "ms2"))):
+        for shown, key in ((ms, ("update", "ms2")), (slow_ms, ("avx2", "ms2"))):
             assert shown == figures.get((key[0], tracker, "plain" if states else "", key[1]), "not measured"), tracker
 
 
