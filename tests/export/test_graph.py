@@ -12,9 +12,10 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from psiamfcpp.datasets import Sequence
 from psiamfcpp.demo.clip import DemoFrame
+from psiamfcpp.export.builder import Builder
 from psiamfcpp.export.crops import Pair, rendered, sample
 from psiamfcpp.export.graph import Ranges, search_graph, template_graph
-from psiamfcpp.export.layers import divided, layers
+from psiamfcpp.export.layers import Layer, divided, layers
 from psiamfcpp.export.quantize import losses, measure, without
 from psiamfcpp.models.arch import DEFAULT, architecture
 from psiamfcpp.models.network import SiamFCpp
@@ -109,6 +110,42 @@ def test_quantized_layers_run_on_integers_and_others_in_float(network: SiamFCpp,
     # Nor does the correlation run on integers without its features, nor conv5 and head.cls3, which feed what is kept.
     kept = without(ranges, {"head.scores", "neck.search"})
     assert integer_layers(kept) == set(ranges.inputs) - last - {"neck.search", "backbone.conv5", "head.cls3"}
+
+
+def test_an_eight_bit_template_sums_in_integers_alone(network: SiamFCpp, ranges: Ranges, tmp_path) -> None:
+    # Sums of floats differ by processor, and one bit of a kernel may decide between two like objects.
+    import onnxruntime
+
+    options = onnxruntime.SessionOptions()
+    options.log_severity_level = 3
+    options.optimized_model_filepath = str(tmp_path / "optimized.onnx")
+    graph = template_graph(network.spec, layers(network), ranges)
+    onnx.checker.check_model(graph, full_check=True)
+    onnxruntime.InferenceSession(graph.SerializeToString(), options, providers=["CPUExecutionProvider"])
+    sums = [n.op_type for n in onnx.load(tmp_path / "optimized.onnx").graph.node if "Conv" in n.op_type]
+    assert sorted(sums) == ["ConvInteger"] * 2 + ["QLinearConv"] * 5
+
+
+def test_an_eight_bit_template_is_close_to_the_float_one(network: SiamFCpp, ranges: Ranges, pairs: list[Pair]) -> None:
+    expected, found = (
+        open_session(template_graph(network.spec, layers(network), some).SerializeToString(), 1).run(
+            None, {"crop": pairs[1].template[None]}
+        )
+        for some in (Ranges(), ranges)
+    )
+    for kernel, other in zip(expected, found, strict=True):
+        assert 0 < np.abs(kernel - other).mean() < 0.1 * np.abs(kernel).mean()
+
+
+def test_exact_layers_sum_every_product(network: SiamFCpp) -> None:
+    # Products of the largest bytes: a sum of two already leaves 16 bits, in which some processors add.
+    layer = Layer(np.ones((4, 64, 1, 1), np.float32), np.ones(4, np.float32), np.arange(4, dtype=np.float32))
+    graph = Builder({"layer": layer}, Ranges())
+    out = graph.exact("layer", "x", (0.0, 255.0))
+    given = onnx.helper.make_tensor_value_info("x", onnx.TensorProto.FLOAT, [1, 64, 2, 2])
+    made = graph.model(network.spec, [given], {"y": (out, onnx.TensorProto.FLOAT, [1, 4, 2, 2])})
+    (found,) = open_session(made.SerializeToString(), 1).run(None, {"x": np.full((1, 64, 2, 2), 255, np.float32)})
+    assert_allclose(found[0, :, 0, 0], 64 * 255 + layer.bias, rtol=1e-6)
 
 
 def test_eight_bits_stay_close(network: SiamFCpp, ranges: Ranges, pairs: list[Pair]) -> None:

@@ -11,6 +11,7 @@ import onnx
 from numpy.typing import NDArray
 from onnx import TensorProto, helper, numpy_helper
 
+from psiamfcpp.export.compact import rounded
 from psiamfcpp.export.layers import Layer
 from psiamfcpp.models import arch
 from psiamfcpp.runtime.graph_file import GRAPH_FORMAT
@@ -19,6 +20,8 @@ from psiamfcpp.spec import ModelSpec
 _OPSET = 17
 # IR version of the oldest onnxruntime that the package allows.
 _IR_VERSION = 8
+# Weights in 8 bits are -127 to 127, or as much above 128.
+_LARGEST, _MIDDLE = 127, 128
 
 
 @dataclass(frozen=True)
@@ -75,6 +78,26 @@ class Builder:
         out = self.add("Conv", x, weight, bias, name=name, strides=[stride, stride], **more)
         return self.add("Relu", out, name=f"{name}.relu") if relu else out
 
+    def exact(self, name: str, x: str, bounds: tuple[float, float]) -> str:
+        """The layer of that name on a tensor rounded to 8 bits within bounds; its map is float.
+
+        Products are summed in integers, and each sum is scaled once, so every processor gives the same bits. A float
+        convolution sums in an order of its own on each.
+        """
+        layer = self.layers[name]
+        folded = layer.weight * layer.gain[:, None, None, None]
+        steps = np.maximum(np.abs(folded).max(axis=(1, 2, 3)) / _LARGEST, 1e-12).astype(np.float32)
+        # With weights above zero the sums are exact on processors that saturate products of unlike signs, too.
+        whole = (rounded(folded / steps[:, None, None, None]) + _MIDDLE).astype(np.uint8)
+        step, zero = _eight_bits(bounds)
+        x = self.to_uint8(x, step, zero)
+        weight, zeros = self.constant(whole, f"{name}.weight"), (np.uint8(zero), np.uint8(_MIDDLE))
+        sums = self.add("ConvInteger", x, weight, *map(self.constant, zeros), name=f"{name}.sums")
+        sums = self.add("Cast", sums, to=TensorProto.FLOAT)
+        scale = self.constant((steps * step)[:, None, None], f"{name}.scale")
+        bias = self.constant(layer.bias[:, None, None], f"{name}.bias")
+        return str(self.add("Add", self.add("Mul", sums, scale), bias, name=name))
+
     def _half(self, name: str, layer: Layer) -> str:
         """A float weight stored in 16 bits: the runtime multiplies it out once, at load."""
         # A power of two for each filter keeps all of a half-precision checkpoint's bits.
@@ -89,11 +112,10 @@ class Builder:
         if x not in self.steps:
             x = self.rounded(x, self.ranges.inputs[name])
         folded = layer.weight * layer.gain[:, None, None, None]
-        steps = np.maximum(np.abs(folded).max(axis=(1, 2, 3)) / 127, 1e-12)
+        steps = np.maximum(np.abs(folded).max(axis=(1, 2, 3)) / _LARGEST, 1e-12)
         # The bias is in 32 bits of the weights' step times the input's: a dead filter's tiny step would cut it off.
         steps = np.maximum(steps, np.abs(layer.bias) / 2**30 / self.steps[x]).astype(np.float32)
-        rounded = np.rint(folded / steps[:, None, None, None]).astype(np.int8)
-        weight = self._in_steps(rounded, steps, f"{name}.weight")
+        weight = self._in_steps(rounded(folded / steps[:, None, None, None]).astype(np.int8), steps, f"{name}.weight")
         bias_steps = (steps * self.steps[x]).astype(np.float32)
         limit = 2**31 - 1
         # In float64, since float32 rounds the limit up to 2**31, which turns the sign.
@@ -108,9 +130,7 @@ class Builder:
 
     def rounded(self, x: str, bounds: tuple[float, float]) -> str:
         """What is left of a tensor after eight bits that hold zero and the bounds."""
-        low, high = min(bounds[0], 0.0), max(bounds[1], 0.0)
-        step = np.float32(max((high - low) / 255, 1e-8))
-        zero = round(-low / float(step))
+        step, zero = _eight_bits(bounds)
         return self.from_uint8(self.to_uint8(x, step, zero), step, zero)
 
     def to_uint8(self, x: str, step: np.float32, zero: int) -> str:
@@ -151,6 +171,13 @@ class Builder:
         )
         helper.set_model_props(model, {"format": GRAPH_FORMAT, "spec": spec.to_json()})
         return model
+
+
+def _eight_bits(bounds: tuple[float, float]) -> tuple[np.float32, int]:
+    """Step and zero of 8 bits that hold zero and the bounds."""
+    low, high = min(bounds[0], 0.0), max(bounds[1], 0.0)
+    step = np.float32(max((high - low) / 255, 1e-8))
+    return step, round(-low / float(step))
 
 
 def two_by_two(graph: Builder, x: str) -> str:

@@ -11,7 +11,6 @@ from typing import Literal
 from onnx import ModelProto
 
 from psiamfcpp.errors import UserError
-from psiamfcpp.export.compact import compact
 from psiamfcpp.export.crops import Pair
 from psiamfcpp.export.graph import Ranges, search_graph, template_graph
 from psiamfcpp.export.layers import Layer, layers
@@ -31,8 +30,7 @@ def write_graphs(model: Network, folder: Path, form: Format, ranges: Ranges, pai
         model: the network, in evaluation mode.
         folder: made if need be; graphs that are in it are replaced.
         form: onnx, or OpenVINO's own files.
-        ranges: what is to be quantized of the search graph. The template graph computes in float, since it runs once
-            and every frame rests on it; where the search graph is quantized, its weights are stored in 8 bits.
+        ranges: what is to be quantized.
         pairs: crops on which the written files are checked against the network.
 
     Returns:
@@ -64,9 +62,8 @@ def write_graphs(model: Network, folder: Path, form: Format, ranges: Ranges, pai
 
 def graphs_of(spec: ModelSpec, weights: Mapping[str, Layer], ranges: Ranges) -> dict[str, ModelProto]:
     """Return both graphs of a network by the names of their files; arguments as for `template_graph`."""
-    template = template_graph(spec, weights, Ranges())
     return {
-        "template": compact(template) if ranges.inputs else template,
+        "template": template_graph(spec, weights, ranges),
         "search": search_graph(spec, weights, ranges),
     }
 

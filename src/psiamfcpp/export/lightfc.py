@@ -10,6 +10,7 @@ import onnx
 from onnx import TensorProto, helper
 
 from psiamfcpp.export.builder import Builder, Ranges, two_by_two
+from psiamfcpp.export.compact import compact
 from psiamfcpp.export.layers import Layer, divided, folded
 from psiamfcpp.export.rows import append, filled_up, within
 from psiamfcpp.models import arch
@@ -33,12 +34,17 @@ def layers(model: LightFC) -> dict[str, Layer]:
 
 
 def template_graph(spec: ModelSpec, layers: Mapping[str, Layer], ranges: Ranges) -> onnx.ModelProto:
-    """The graph ``crop (1, 128, 128, 3) uint8 BGR -> kernel (1, C, 8, 8)``."""
-    graph = Builder(layers, ranges)
+    """The graph ``crop (1, 128, 128, 3) uint8 BGR -> kernel (1, C, 8, 8)``.
+
+    It computes in float, since it runs once and every frame rests on it. Where the search graph is quantized, its
+    weights are stored in 8 bits.
+    """
+    graph = Builder(layers, Ranges())
     rows = spec.arch.part("backbone")
     maps = _append(graph, rows)
     crop = helper.make_tensor_value_info("crop", TensorProto.UINT8, [1, spec.template_size, spec.template_size, 3])
-    return graph.model(spec, [crop], {_KERNEL: (maps[rows[-1].name], TensorProto.FLOAT, _kernel_shape(spec))})
+    made = graph.model(spec, [crop], {_KERNEL: (maps[rows[-1].name], TensorProto.FLOAT, _kernel_shape(spec))})
+    return compact(made) if ranges.inputs else made
 
 
 def search_graph(spec: ModelSpec, layers: Mapping[str, Layer], ranges: Ranges) -> onnx.ModelProto:

@@ -34,17 +34,22 @@ def layers(model: SiamFCpp) -> dict[str, Layer]:
 
 
 def template_graph(spec: ModelSpec, layers: Mapping[str, Layer], ranges: Ranges) -> onnx.ModelProto:
-    """The graph ``crop (1, 127, 127, 3) uint8 BGR -> cls_kernel, reg_kernel (1, C, 4, 4)``."""
-    graph = Builder(layers, ranges)
+    """The graph ``crop (1, 127, 127, 3) uint8 BGR -> cls_kernel, reg_kernel (1, C, 4, 4)``.
+
+    It is quantized as the search graph is: one bit of a kernel may decide between two like objects, so every processor
+    must give the same.
+    """
+    graph = Builder(divided(layers, ranges.factors, spec.arch.readers), ranges)
     x, kernel = _backbone(graph, spec), _kernel(spec)
+    bounds = ranges.inputs.get("neck.search")
     side = spec.template_size
     outputs = {
         f"{branch}_kernel": (
-            graph.conv(f"neck.{branch}_template", x, relu=False),
+            graph.exact(name, x, bounds) if bounds else graph.conv(name, x, relu=False),
             TensorProto.FLOAT,
             [1, spec.widths[f"neck.{branch}"], kernel, kernel],
         )
-        for branch in ("cls", "reg")
+        for branch, name in ((branch, f"neck.{branch}_template") for branch in ("cls", "reg"))
     }
     crop = helper.make_tensor_value_info("crop", TensorProto.UINT8, [1, side, side, 3])
     return graph.model(spec, [crop], outputs)

@@ -13,8 +13,8 @@ GRAPH_FORMAT = "psiamfcpp-graph/1"
 GRAPHS = ("template", "search")
 # What `psiamfcpp export` writes. Others, as ConstantOfShape, take memory without bound from a few bytes.
 _WRITTEN = """
-Abs Add Cast Clip Concat Conv DequantizeLinear Div Erf Exp Expand GlobalAveragePool Identity Max MaxPool Min Mul Pad
-QuantizeLinear Range ReduceMax ReduceProd Relu Reshape Shape Sigmoid Split Squeeze Sub Transpose Unsqueeze
+Abs Add Cast Clip Concat Conv ConvInteger DequantizeLinear Div Erf Exp Expand GlobalAveragePool Identity Max MaxPool
+Min Mul Pad QuantizeLinear Range ReduceMax ReduceProd Relu Reshape Shape Sigmoid Split Squeeze Sub Transpose Unsqueeze
 """
 _OPERATORS = frozenset(_WRITTEN.split())
 # Numbers of fields in onnx.proto.
