@@ -246,6 +246,27 @@ def test_what_was_taken_up_elsewhere_gives_way_to_a_better_find_at_the_expected_
     assert [centre_error(t.box, START) < 1.5 for t in tracks[4:]] == [changed] * 6
 
 
+@pytest.mark.parametrize(("frames", "state"), [(12, "tracking"), (5, "lost")])
+def test_what_has_proved_to_be_the_target_is_expected_where_it_was_followed(
+    blob_engine: Any, blob_frame: Draw, frames: int, state: str
+) -> None:
+    # The first place is still watched when the target is lost for the second time. A weak find ends that only where
+    # the target is expected.
+    other = (230, 170, 40, 30)
+    tracker = begun(blob_frame)
+    for _ in range(LOST_AFTER):
+        tracker.update(blob_frame(None))
+    for _ in range(320):
+        if tracker.update(blob_frame(other)).state == "tracking":
+            break
+    for _ in range(frames - 1):
+        tracker.update(blob_frame(other))
+    for _ in range(LOST_AFTER):
+        tracker.update(blob_frame(None))
+    blob_engine.peak = 0.7
+    assert tracker.update(blob_frame(other)).state == state
+
+
 @pytest.mark.slow
 def test_no_frame_costs_more_than_two_looks(blob_engine: Any, blob_frame: Draw) -> None:
     tracker = begun(blob_frame)

@@ -19,7 +19,7 @@ from psiamfcpp.spec import Calibration, ModelSpec
 from psiamfcpp.trackers.contract import State, Track
 from psiamfcpp.trackers.siamfcpp.camera import STILL, Camera
 from psiamfcpp.trackers.siamfcpp.confidence import StateMachine, confidence
-from psiamfcpp.trackers.siamfcpp.hunt import Hunt, lies_in
+from psiamfcpp.trackers.siamfcpp.hunt import Hunt, lies_in, proof_level
 from psiamfcpp.trackers.siamfcpp.procedure import (
     Estimate,
     FloatMap,
@@ -35,6 +35,8 @@ _MEMORY_RATE = 0.1
 # After this many frames without the target, what is re-acquired away from its expected place may be another object; for
 # _WATCH frames the expected place is looked at as well.
 _UNSEEN, _WATCH = 3, 25
+# After this many frames of proof since it was last in doubt, the target is from now on expected where it is followed.
+_SETTLED = 10
 # After this many frames without the target it is searched for elsewhere.
 SEARCH_AFTER = 5
 # Kernels of later looks are kept beside those of the first frame, one after this many sure frames in a row.
@@ -89,7 +91,7 @@ class Following:
         self._fill = self._procedure.fill(frame)
         self._states = StateMachine(self._limits)
         self._velocity = (0.0, 0.0)
-        self._unseen_for = self._watch = self._sure_for = 0
+        self._unseen_for = self._watch = self._sure_for = self._proofs = 0
         self._camera = Camera()
         self._hunt: Hunt | None = None
         self._kernels, self._later = engine.template(self._template(frame)), list[Any]()
@@ -147,6 +149,7 @@ class Following:
     def _judge(self, frame: Image, around: Target, found: Estimate, value: float, engine: Engine) -> Track:
         """Follow as the procedure does, and look elsewhere as well where that has lost the target."""
         frozen = False
+        self._settle(value)
         if self._hunt:
             motion = self._camera.step(frame, self._target)
             frozen = motion is None
@@ -211,6 +214,19 @@ class Following:
         self._unseen_for, hunt.rival = 0, None
         self._states.regain()
         return rival
+
+    def _settle(self, value: float) -> None:
+        """End a search at the first doubt about something that has proved to be the target since the doubt before.
+
+        Its expected place is of another time by then, and would favour whatever is there.
+        """
+        if value >= self._limits.unsure_below:
+            self._proofs += value >= proof_level(self._limits)
+            return
+        if self._hunt and self._proofs >= _SETTLED:
+            self._watch = 0
+            self._see()
+        self._proofs = 0
 
     def _moved(self, around: Target, found: Estimate, rate: float, frame: Image) -> Target:
         return self._procedure.move(around, found, rate, frame.shape, self._smallest)

@@ -159,8 +159,13 @@ class Hunt:
             self.rival = None
             return False
         values, leads = rival.values[-_PROOF:], rival.leads[-_PROOF:]
-        needed = limits.unsure_below + _LEVEL * (limits.regain_above - limits.unsure_below)
-        return len(values) == _PROOF and sum(values) >= _PROOF * needed and sum(leads) > 0 and leads[-1] >= _LEADS_BY
+        proved = len(values) == _PROOF and sum(values) >= _PROOF * proof_level(limits)
+        return proved and sum(leads) > 0 and leads[-1] >= _LEADS_BY
+
+
+def proof_level(limits: Calibration) -> float:
+    """Return the confidence, on average, at which something proves to be the target."""
+    return limits.unsure_below + _LEVEL * (limits.regain_above - limits.unsure_below)
 
 
 def lies_in(found: Target, box: Target) -> bool:
