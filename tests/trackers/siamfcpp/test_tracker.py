@@ -267,19 +267,6 @@ def test_what_has_proved_to_be_the_target_is_expected_where_it_was_followed(
     assert tracker.update(blob_frame(other)).state == state
 
 
-def test_a_target_in_doubt_leaps_to_another_place_only_by_proof(blob_engine: Any, blob_frame: Draw) -> None:
-    # In doubt, but not lost; then something likely is beside the box, with less than `regain_above`.
-    tracker, beside = begun(blob_frame), (START[0] + 32, START[1], START[2], START[3])
-    for _ in range(4):
-        tracker.update(blob_frame(None))
-    blob_engine.peak = 0.78
-    tracks = [tracker.update(blob_frame(beside) - np.uint8(n % 2)) for n in range(8)]
-    assert centre_error(tracks[0].box, START) < 1.5
-    assert (tracks[0].state, tracks[0].score) == ("unsure", pytest.approx(0.22, abs=0.01))
-    assert centre_error(tracks[-1].box, beside) < 1.5
-    assert tracks[-1].state == "tracking"
-
-
 @pytest.mark.slow
 def test_no_frame_costs_more_than_two_looks(blob_engine: Any, blob_frame: Draw) -> None:
     tracker = begun(blob_frame)

@@ -6,7 +6,6 @@ No engine is held here: `Following.aim` says what to search, and whoever owns an
 
 from __future__ import annotations
 
-import dataclasses
 from dataclasses import dataclass
 from typing import Any
 
@@ -20,7 +19,7 @@ from psiamfcpp.spec import Calibration, ModelSpec
 from psiamfcpp.trackers.contract import State, Track
 from psiamfcpp.trackers.siamfcpp.camera import STILL, Camera
 from psiamfcpp.trackers.siamfcpp.confidence import StateMachine, confidence
-from psiamfcpp.trackers.siamfcpp.hunt import Hunt, Rival, lies_in, proof_level
+from psiamfcpp.trackers.siamfcpp.hunt import Hunt, lies_in, proof_level
 from psiamfcpp.trackers.siamfcpp.procedure import (
     Estimate,
     FloatMap,
@@ -150,10 +149,6 @@ class Following:
     def _judge(self, frame: Image, around: Target, found: Estimate, value: float, engine: Engine) -> Track:
         """Follow as the procedure does, and look elsewhere as well where that has lost the target."""
         frozen = False
-        if self._hunt and self._leaps(self._hunt, found, value):
-            # Perhaps the target: the box stays, and holds it with the chance that is left.
-            self._hunt.rival = self._hunt.rival or Rival(found.target)
-            found, value = dataclasses.replace(found, target=self._target), 1 - value
         self._settle(value)
         if self._hunt:
             motion = self._camera.step(frame, self._target)
@@ -219,14 +214,6 @@ class Following:
         self._unseen_for, hunt.rival = 0, None
         self._states.regain()
         return rival
-
-    def _leaps(self, hunt: Hunt, found: Estimate, value: float) -> bool:
-        """Return whether a target in doubt seems to be neither where it is followed nor where it is expected.
-
-        One frame with less than `regain_above` is no proof of that.
-        """
-        likely = self._unseen_for >= _UNSEEN and self._limits.unsure_below <= value < self._limits.regain_above
-        return likely and not any(lies_in(found.target, place) for place in (hunt.place, self._target))
 
     def _settle(self, value: float) -> None:
         """End a search at the first doubt about something that has proved to be the target since the doubt before.
