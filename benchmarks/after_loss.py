@@ -6,7 +6,7 @@ The target leaves the frame, is hidden, and cars that look like it pass (`psiamf
 the score is the mean overlap over the frames whose score reaches it, 0 where the target is out of sight; recall is the
 mean over the frames in which the target is in sight, 0 where the score does not reach the limit. Both are means over
 clips, and the F-score is the highest over all limits (Lukezic et al. 2018). Even seeds served to develop the states;
-use odd ones to judge them. With ``--curve`` the points of precision and recall are printed too.
+use odd ones to judge them. ``--curve FILE.png`` draws precision against recall; the extra ``report`` has matplotlib.
 
 Times are those of updates on one thread, in milliseconds: the median of frames in which the target is surely seen
 (``ms_sure``) and of the others (``ms_unsure``), where one more region is searched, and the worst of the others as a
@@ -19,6 +19,7 @@ import json
 import sys
 import time
 from collections.abc import Iterator
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -28,6 +29,7 @@ from numpy.typing import NDArray
 from psiamfcpp import TrackerOptions, open_tracker
 from psiamfcpp.demo.long import render_long
 from psiamfcpp.errors import UserError
+from psiamfcpp.files import whole
 from psiamfcpp.geometry import overlap
 
 Frames = NDArray[np.float64]
@@ -40,7 +42,7 @@ def main(
     trackers: tuple[str, ...] = ("plightfc-int8",),
     seeds: tuple[int, ...] = (1, 3, 5, 7, 9),
     frames: int = 600,
-    curve: bool = False,
+    curve: Path | None = None,
 ) -> None:
     """Follow and print one JSON object.
 
@@ -48,14 +50,18 @@ def main(
         trackers: those that state scores, as `psiamfcpp.open_tracker` takes them.
         seeds: of the clips.
         frames: of each clip.
-        curve: print precision and recall at each limit as well.
+        curve: PNG image to draw precision against recall into, one line per tracker.
     """
+    if curve and not curve.parent.is_dir():
+        raise UserError(f"folder {curve.parent} is not there: make it, or give another --curve")
     cv2.setNumThreads(1)
     found: dict[str, list[Frames]] = {}
     for seed in seeds:
         for name, rows in follow(trackers, seed, frames):
             found.setdefault(name, []).append(rows)
-    print(json.dumps({"seeds": seeds, "frames": frames, "trackers": {k: table(v, curve) for k, v in found.items()}}))
+    if curve:
+        draw(found, curve)
+    print(json.dumps({"seeds": seeds, "frames": frames, "trackers": {k: table(v) for k, v in found.items()}}))
 
 
 def follow(trackers: tuple[str, ...], seed: int, frames: int) -> Iterator[tuple[str, Frames]]:
@@ -81,16 +87,47 @@ def follow(trackers: tuple[str, ...], seed: int, frames: int) -> Iterator[tuple[
     yield from zip(names, rows, strict=True)
 
 
-def table(clips: list[Frames], curve: bool) -> dict[str, object]:
-    """Return the F-score of several clips with its precision and recall, and the recall whatever the score."""
+def points_of(clips: list[Frames]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return limits of the score ``(n,)``, and the mean precision and recall ``(2, n)`` of clips at each."""
     limits = np.unique(np.quantile(np.concatenate([rows[:, 2] for rows in clips]), np.linspace(0, 1, _LIMITS)))
-    points = np.mean([precision_recall(rows, limits) for rows in clips], axis=0)
+    return limits, np.mean([precision_recall(rows, limits) for rows in clips], axis=0)
+
+
+def table(clips: list[Frames]) -> dict[str, object]:
+    """Return the F-score of several clips with its precision and recall, and the recall whatever the score."""
+    limits, points = points_of(clips)
     f = 2 * points[0] * points[1] / np.maximum(points[0] + points[1], 1e-9)
     best = int(f.argmax())
     names = ("f", "precision", "recall", "recall_of_all", "score")
     values = (f[best], points[0, best], points[1, best], points[1, 0], limits[best])
     row: dict[str, object] = {name: round(float(value), 3) for name, value in zip(names, values, strict=True)}
-    return row | times(np.concatenate(clips)) | ({"curve": points.T.round(3).tolist()} if curve else {})
+    return row | times(np.concatenate(clips))
+
+
+def draw(found: dict[str, list[Frames]], image: Path) -> None:
+    """Draw precision against recall, a line per tracker and a dot where the F-score is highest.
+
+    Raises:
+        UserError: the image cannot be written.
+    """
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib import pyplot as plt
+
+    figure, axes = plt.subplots(figsize=(5.5, 4), layout="constrained")
+    for number, (name, clips) in enumerate(found.items()):
+        _, (precision, recall) = points_of(clips)
+        best = (precision * recall / np.maximum(precision + recall, 1e-9)).argmax()
+        # Rows come in pairs, with states and plain.
+        colour, style = f"C{number // 2}", "-" if number % 2 == 0 else "--"
+        axes.plot(recall, precision, style, color=colour, label=name, markevery=[int(best)], marker="o")
+    axes.set(xlabel="recall", ylabel="precision", xlim=(0, None), ylim=(0, 1))
+    axes.grid(alpha=0.3)
+    axes.legend(fontsize=8)
+    with whole(image) as temporary:
+        figure.savefig(temporary, format="png", dpi=100)
+    plt.close(figure)
 
 
 def times(rows: Frames) -> dict[str, object]:
