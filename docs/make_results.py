@@ -37,7 +37,7 @@ SETS = {
         "Fifteen sequences",
         "Fifteen sequences of UAV123@10fps, DTB70 and UAVDT, eight of them as H.264; one pass, `otb` convention, one\n"
         "thread. SEVEN and EIGHT are their two folders, FIFTEEN is one of all. One lost target moves a mean by 0.07.\n"
-        "Our models gave the same boxes with AVX-512 and without it; the others were followed on an AMD EPYC with AVX2.",
+        "Our models gave the same boxes with AVX-512 and without it; the others were followed with AVX2.",
     ),
     "seven": (
         "Seven sequences",
