@@ -52,8 +52,12 @@ def main(
         frames: of each clip.
         curve: PNG image to draw precision against recall into, one line per tracker.
     """
-    if curve and not curve.parent.is_dir():
-        raise UserError(f"folder {curve.parent} is not there: make it, or give another --curve")
+    if curve:
+        # Before all the work: without matplotlib nothing could be drawn at its end.
+        import matplotlib  # noqa: F401
+
+        if not curve.parent.is_dir():
+            raise UserError(f"folder {curve.parent} is not there: make it, or give another --curve")
     cv2.setNumThreads(1)
     found: dict[str, list[Frames]] = {}
     for seed in seeds:
@@ -93,10 +97,15 @@ def points_of(clips: list[Frames]) -> tuple[NDArray[np.float64], NDArray[np.floa
     return limits, np.mean([precision_recall(rows, limits) for rows in clips], axis=0)
 
 
+def f_scores(points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the F-score ``(n,)`` of precision and recall ``(2, n)``."""
+    return np.asarray(2 * points[0] * points[1] / np.maximum(points[0] + points[1], 1e-9))
+
+
 def table(clips: list[Frames]) -> dict[str, object]:
     """Return the F-score of several clips with its precision and recall, and the recall whatever the score."""
     limits, points = points_of(clips)
-    f = 2 * points[0] * points[1] / np.maximum(points[0] + points[1], 1e-9)
+    f = f_scores(points)
     best = int(f.argmax())
     names = ("f", "precision", "recall", "recall_of_all", "score")
     values = (f[best], points[0, best], points[1, best], points[1, 0], limits[best])
@@ -117,11 +126,11 @@ def draw(found: dict[str, list[Frames]], image: Path) -> None:
 
     figure, axes = plt.subplots(figsize=(5.5, 4), layout="constrained")
     for number, (name, clips) in enumerate(found.items()):
-        _, (precision, recall) = points_of(clips)
-        best = (precision * recall / np.maximum(precision + recall, 1e-9)).argmax()
+        _, points = points_of(clips)
         # Rows come in pairs, with states and plain.
         colour, style = f"C{number // 2}", "-" if number % 2 == 0 else "--"
-        axes.plot(recall, precision, style, color=colour, label=name, markevery=[int(best)], marker="o")
+        best = [int(f_scores(points).argmax())]
+        axes.plot(points[1], points[0], style, color=colour, label=name, markevery=best, marker="o")
     axes.set(xlabel="recall", ylabel="precision", xlim=(0, None), ylim=(0, 1))
     axes.grid(alpha=0.3)
     axes.legend(fontsize=8)
@@ -153,6 +162,6 @@ def precision_recall(rows: Frames, limits: NDArray[np.float64]) -> NDArray[np.fl
 if __name__ == "__main__":
     try:
         tyro.cli(main)
-    except UserError as error:
+    except (UserError, ModuleNotFoundError) as error:
         print(f"after_loss.py: {error}", file=sys.stderr)
         sys.exit(2)

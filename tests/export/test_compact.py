@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from psiamfcpp import zoo
-from psiamfcpp.export.compact import compact, rounded
+from psiamfcpp.export.compact import compact
 from psiamfcpp.export.graph import Ranges, search_graph, template_graph
 from psiamfcpp.export.layers import Layer, layers
 from psiamfcpp.models.network import SiamFCpp
@@ -60,16 +60,6 @@ def test_a_layer_whose_input_channels_are_uneven_stays_in_16_bits(network: SiamF
     uneven = max(before)
     weights[uneven.removesuffix(".weight")].weight[:, 1:] *= 0.01
     assert small() == before - {uneven}
-
-
-@pytest.mark.parametrize("side", [1, 3, 5])
-def test_errors_of_rounding_cancel_out(side: int) -> None:
-    weight = (np.random.default_rng(0).standard_normal((16, 24, side, side)) * 30).clip(-126, 126).astype(np.float32)
-    found = rounded(weight)
-    assert np.array_equal(found, np.rint(found))
-    assert np.abs((weight - found).sum(axis=(1, 2, 3))).max() <= 0.5 + 1e-3
-    assert np.abs((weight - found).sum(axis=(2, 3))).max() <= 1.5
-    assert np.abs((weight - np.rint(weight)).sum(axis=(1, 2, 3))).max() > 1
 
 
 def test_kernels_are_close_to_those_of_the_float_graph(network: SiamFCpp) -> None:

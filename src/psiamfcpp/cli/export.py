@@ -32,7 +32,7 @@ def export(
     Args:
         model: name of a shipped checkpoint, or a checkpoint file.
         output: folder for the graphs `template` and `search`.
-        int8: compute the search graph in 8-bit integers.
+        int8: compute in 8-bit integers; the template graph of LightFC stays float.
         format: onnx, which onnxruntime and OpenVINO read, or OpenVINO's own.
         data: what to calibrate and check on, each LAYOUT:FOLDER as for training; by default rendered clips.
         root: folder of sequences to follow with the network in torch and with the graphs, plainly, and compare.

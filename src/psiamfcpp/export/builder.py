@@ -11,8 +11,8 @@ import onnx
 from numpy.typing import NDArray
 from onnx import TensorProto, helper, numpy_helper
 
-from psiamfcpp.export.compact import rounded
 from psiamfcpp.export.layers import Layer
+from psiamfcpp.export.rounding import filter_steps, rounded
 from psiamfcpp.models import arch
 from psiamfcpp.runtime.graph_file import GRAPH_FORMAT
 from psiamfcpp.spec import ModelSpec
@@ -20,8 +20,8 @@ from psiamfcpp.spec import ModelSpec
 _OPSET = 17
 # IR version of the oldest onnxruntime that the package allows.
 _IR_VERSION = 8
-# Weights in 8 bits are -127 to 127, or as much above 128.
-_LARGEST, _MIDDLE = 127, 128
+# What stands for zero in weights of 8 bits without sign.
+_MIDDLE = 128
 
 
 @dataclass(frozen=True)
@@ -86,8 +86,8 @@ class Builder:
         """
         layer = self.layers[name]
         folded = layer.weight * layer.gain[:, None, None, None]
-        steps = np.maximum(np.abs(folded).max(axis=(1, 2, 3)) / _LARGEST, 1e-12).astype(np.float32)
-        # With weights above zero the sums are exact on processors that saturate products of unlike signs, too.
+        steps = filter_steps(folded).astype(np.float32)
+        # With weights without sign the sums are exact on processors that saturate products of unlike signs, too.
         whole = (rounded(folded / steps[:, None, None, None]) + _MIDDLE).astype(np.uint8)
         step, zero = _eight_bits(bounds)
         x = self.to_uint8(x, step, zero)
@@ -112,7 +112,7 @@ class Builder:
         if x not in self.steps:
             x = self.rounded(x, self.ranges.inputs[name])
         folded = layer.weight * layer.gain[:, None, None, None]
-        steps = np.maximum(np.abs(folded).max(axis=(1, 2, 3)) / _LARGEST, 1e-12)
+        steps = filter_steps(folded)
         # The bias is in 32 bits of the weights' step times the input's: a dead filter's tiny step would cut it off.
         steps = np.maximum(steps, np.abs(layer.bias) / 2**30 / self.steps[x]).astype(np.float32)
         weight = self._in_steps(rounded(folded / steps[:, None, None, None]).astype(np.int8), steps, f"{name}.weight")

@@ -41,6 +41,7 @@ def template_graph(spec: ModelSpec, layers: Mapping[str, Layer], ranges: Ranges)
     """
     graph = Builder(divided(layers, ranges.factors, spec.arch.readers), ranges)
     x, kernel = _backbone(graph, spec), _kernel(spec)
+    # All neck layers read the same map.
     bounds = ranges.inputs.get("neck.search")
     side = spec.template_size
     outputs = {
