@@ -76,6 +76,33 @@ def test_what_a_model_says_of_itself_moves_no_cursor(run: Run, tiny_model: Path,
     assert "\x1b[2J\\n" not in run("info", tmp_path / "\x1b[2J").refused()
 
 
+@pytest.mark.parametrize(
+    ("provenance", "lines"),
+    [
+        ({}, ["none"]),
+        ({"calibration": {"clips": 9, "hit": 0.123456}}, ["calibration clips 9, hit 0.1235"]),
+        (
+            {
+                "training": [
+                    {"init": "a", "options": {"batch": 8, "clip": 10.0}},
+                    {"teacher": {"teacher": ""}, "data": ["b", "c"]},
+                ]
+            },
+            ["training 1: init a, batch 8", "training 2: data b c"],
+        ),
+        ({"pruning": ["by hand", {"unknown": [1, 0.00001]}]}, ["pruning 1: by hand", "pruning 2: unknown 1 1e-05"]),
+    ],
+)
+def test_info_gives_each_step_of_the_making_a_short_line(
+    run: Run, tiny_model: Path, tmp_path: Path, provenance: dict[str, object], lines: list[str]
+) -> None:
+    network = load(tiny_model)
+    network.spec = dataclasses.replace(network.spec, provenance=provenance)
+    save(tmp_path / "model.safetensors", network)
+    text = run("info", tmp_path / "model.safetensors").out
+    assert text.endswith("provenance   " + ("\n" + " " * 13).join(lines) + "\n")
+
+
 @pytest.mark.parametrize("command", [("evaluate", "--root"), ("datasets", "--root"), ("report", "-o", "x"), ("plan",)])
 def test_a_name_that_is_too_long_is_one_line(run: Run, command: tuple[str, ...]) -> None:
     assert run(*command, "a" * 500).refused()
