@@ -140,6 +140,19 @@ def test_while_in_doubt_the_box_moves_as_in_the_published_procedure_and_keeps_it
         assert centre_error(track.box, plain.update(frame).box) < 1
 
 
+def test_a_target_that_is_hardly_recognised_is_followed_to_where_it_moved(blob_engine: Any, blob_frame: Draw) -> None:
+    ours, plain = begun(blob_frame), begun(blob_frame, plain=True)
+    scores = np.zeros((17, 17), np.float32)
+    scores[8, 12] = 0.05
+    boxes = np.full((17, 17, 4), (131, 131, 171, 171), np.float32)
+    boxes[8, 12] += 32, 0, 32, 0
+    blob_engine.search = lambda *_: (scores, boxes)
+    # 32 pixels of the crop, of which 127 show 70 in the frame
+    assert ours.update(blob_frame(START)).box[0] - START[0] == pytest.approx(32 * 70 / 127, abs=1)
+    # there the published window, of height 1, decides for the middle
+    assert plain.update(blob_frame(START)).box[0] - START[0] == pytest.approx(0, abs=1)
+
+
 def test_a_procedure_may_follow_sizes_in_doubt(blob_engine: Any, blob_frame: Draw) -> None:
     start = blob_frame(START)
     ours, plain = Tracker(), Tracker(plain=True)

@@ -123,8 +123,17 @@ class Following:
 
     def read(self, around: Target, scores: FloatMap, boxes: FloatMap) -> tuple[Estimate, float]:
         """Return the estimate of a searched region and its contrast (see `procedure.contrast`)."""
-        found = self._procedure.estimate(scores, boxes, around, self._spec, self._window)
+        window = self._window if self._plain else self._scaled_window(scores)
+        found = self._procedure.estimate(scores, boxes, around, self._spec, window)
         return found, contrast(scores, boxes, found.cell)
+
+    def _scaled_window(self, scores: FloatMap) -> FloatMap:
+        """Return the window as high as the best score.
+
+        The published procedure adds a window of height 1 to scores. Of a target that is hardly recognised all scores
+        are low; the window then decides alone, and a target that has moved since the last frame is left behind.
+        """
+        return self._window * scores.max()
 
     def conclude(self, frame: Image, look: Look, scores: FloatMap, boxes: FloatMap, engine: Engine) -> Track:
         """Update the state by the network's answer, and return where the target is.
@@ -203,7 +212,7 @@ class Following:
         if watching:
             zoom, middle = self._procedure.zoom(around, self._spec), self._procedure.middle(self._spec.search_size)
             scores = hidden(scores, boxes, around, self._target, zoom, middle)
-        window = self._window if hunt.rival else self._flat
+        window = self._scaled_window(scores) if hunt.rival else self._flat
         found = self._procedure.estimate(scores, boxes, around, self._spec, window)
         rival = confidence(found.score, contrast(scores, boxes, found.cell), self._limits)
         target = self._moved(around, found, self._rate(found) if hunt.rival else 1.0, frame)
