@@ -49,7 +49,10 @@ def info(model: Described, json: Json = False) -> None:
 
 
 def _provenance(given: dict[str, Any]) -> Iterator[str]:
-    """Give a line per fact, and one per step of those that were made in steps."""
+    """Give a line per fact, and one per step of those that were made in steps.
+
+    What a file says of itself may be anything.
+    """
     for name, value in given.items():
         if not isinstance(value, list):
             yield printable(f"{name} {_text(value)}")
@@ -69,7 +72,7 @@ def _leaves(tree: dict[str, Any]) -> Iterator[tuple[str, Any]]:
 
 
 def _text(value: Any) -> str:
-    """Return a value in a line; what a file says of itself may be anything."""
+    """Return a value in a line."""
     match value:
         case None:
             return ""
@@ -80,4 +83,4 @@ def _text(value: Any) -> str:
         case list() | tuple():
             return " ".join(map(_text, value))
         case _:
-            return printable(str(value))
+            return str(value)
