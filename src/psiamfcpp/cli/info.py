@@ -20,7 +20,7 @@ Described = Annotated[
     ),
 ]
 
-# Of a step of pruning or training, what tells it from the others; `--json` has the rest.
+# What distinguishes a step of pruning or training from the others; `--json` has the rest.
 _MAIN_FACTS = (
     *("from", "init", "plan", "data", "images", "batch", "steps", "stopped_after_steps", "lr", "search_size"),
     *("stored", "teacher", "version"),
