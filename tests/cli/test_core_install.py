@@ -80,6 +80,14 @@ def test_what_needs_torch_says_how_to_get_it(core: Path, args: list[str]) -> Non
     assert "pip install 'psiamfcpp[train]'" in done.stderr
 
 
+def test_a_wrong_name_is_no_reason_to_install_torch(core: Path) -> None:
+    done = _python(
+        core, "import sys; from psiamfcpp.cli import main; sys.exit(main(['info', 'psiamfcpp-alexnet-int']))"
+    )
+    assert done.returncode == 2
+    assert done.stderr.endswith("did you mean 'psiamfcpp-alexnet-int8'?\n")
+
+
 @pytest.mark.parametrize(
     ("missing", "args", "extra"),
     [

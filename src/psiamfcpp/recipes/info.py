@@ -10,7 +10,7 @@ from psiamfcpp.models.cost import facts
 from psiamfcpp.runtime import open_engine
 from psiamfcpp.spec import ModelSpec
 from psiamfcpp.trackers.opening import choose
-from psiamfcpp.zoo import graph_folder, names
+from psiamfcpp.zoo import graph_folder, names, weights_path
 
 
 def info(tracker: str | Path) -> dict[str, Any]:
@@ -44,6 +44,7 @@ def info(tracker: str | Path) -> dict[str, Any]:
 def _spec(model: str) -> ModelSpec:
     if model not in names() and graph_folder(model):
         return open_engine(model, threads=1).spec
+    checkpoint = weights_path(model)  # a wrong name is refused before torch is asked for
     from psiamfcpp.models import load
 
-    return load(model).spec
+    return load(checkpoint).spec
