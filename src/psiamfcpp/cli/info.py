@@ -44,8 +44,8 @@ def info(model: Described, json: Json = False) -> None:
     for title in ("constants", "calibration"):
         print(f"{title:12} {_text(facts[title]) or 'none'}")
     lines = list(_provenance(facts["provenance"])) or ["none"]
-    for title, line in zip(["provenance"] + [""] * len(lines), lines, strict=False):
-        print(f"{title:12} {line}")
+    for number, line in enumerate(lines):
+        print(f"{'' if number else 'provenance':12} {line}")
 
 
 def _provenance(given: dict[str, Any]) -> Iterator[str]:

@@ -153,6 +153,15 @@ def test_a_target_that_is_hardly_recognised_is_followed_to_where_it_moved(blob_e
     assert plain.update(blob_frame(START)).box[0] - START[0] == pytest.approx(0, abs=1)
 
 
+def test_where_nothing_has_a_score_the_box_stays(blob_engine: Any, blob_frame: Draw) -> None:
+    tracker = begun(blob_frame)
+    boxes = np.zeros((17, 17, 4), np.float32)
+    boxes[..., 0::2] = 131 + 8 * (np.arange(17) - 8)[None, :, None] + np.array([0, 40])
+    boxes[..., 1::2] = 131 + 8 * (np.arange(17) - 8)[:, None, None] + np.array([0, 40])
+    blob_engine.search = lambda *_: (np.zeros((17, 17), np.float32), boxes)
+    assert tracker.update(blob_frame(START)).box == pytest.approx(START, abs=1)
+
+
 def test_a_procedure_may_follow_sizes_in_doubt(blob_engine: Any, blob_frame: Draw) -> None:
     start = blob_frame(START)
     ours, plain = Tracker(), Tracker(plain=True)

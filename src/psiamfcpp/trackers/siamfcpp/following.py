@@ -41,6 +41,8 @@ _SETTLED = 10
 SEARCH_AFTER = 5
 # Kernels of later looks are kept beside those of the first frame, one after this many sure frames in a row.
 _LOOKS, LOOK_EVERY = 2, 30
+# Where no cell has any score, the window still decides for the middle.
+_LEAST_HEIGHT = 1e-6
 # A frame whose grey levels, at one pixel in 16 by 16, spread by less than this shows nothing but noise.
 _BLANK_SPREAD, _SAMPLED = 1.5, 16
 
@@ -133,7 +135,7 @@ class Following:
         The published procedure adds a window of height 1 to scores. Of a target that is hardly recognised all scores
         are low; the window then decides alone, and a target that has moved since the last frame is left behind.
         """
-        return self._window * scores.max()
+        return self._window * max(float(scores.max()), _LEAST_HEIGHT)
 
     def conclude(self, frame: Image, look: Look, scores: FloatMap, boxes: FloatMap, engine: Engine) -> Track:
         """Update the state by the network's answer, and return where the target is.
